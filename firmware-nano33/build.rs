@@ -14,13 +14,13 @@ fn main() {
         (false, false, false) => "src/boards/nano33-bootloader.x",
     };
     fs::copy(layout, out.join("memory.x")).expect("the memory layout is readable");
-    // Loads the model trained on simulated wearers (models/bundled), in the format that the board reads.
+    // Loads the model trained on simulated wearers (models/bundled) in the format that the board reads.
     let blob = models::bundled::blob().expect("the bundled model is intact");
     fs::write(out.join("model.blob"), blob).expect("OUT_DIR is writable");
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed={layout}");
     println!("cargo:rerun-if-changed=build.rs");
-    // Page alignment of segments is only useful on hosted systems, and here it would move the image in flash.
+    // Page alignment of segments helps only on hosted systems. Here it would move the image in flash.
     println!("cargo:rustc-link-arg-bins=--nmagic");
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     println!("cargo:rustc-link-arg-bins=-Tdefmt.x");

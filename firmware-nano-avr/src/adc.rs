@@ -1,12 +1,12 @@
-//! Reads five analog channels, eight conversions each, from the converter's interrupt after each clock tick.
+//! Reads five analog channels after each clock tick. The converter's interrupt sums eight conversions of each.
 //!
-//! Before each channel the converter measures ground once, which empties its capacitor.
+//! Before it reads a channel, the converter measures ground once, which empties its sampling capacitor.
 //! Without this, an open channel would repeat its neighbour's voltage.
-//! With it, an open channel reads near 0, which counts as a fault.
+//! With this measurement, an open channel reads near 0, which counts as a fault.
 //!
 //! The reference is always AREF, which is wired to 3.3 V.
 //! **Any other setting connects an internal source to that pin and shorts the board's 3.3 V supply.**
-//! For this reason only one function writes the multiplexer register.
+//! For this reason, only one function in this file writes the multiplexer register.
 
 use avr_device::atmega328p::{ADC, Peripherals};
 use avr_device::interrupt::{self, CriticalSection, Mutex};
@@ -14,13 +14,13 @@ use core::cell::{Cell, RefCell};
 use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 
 /// A3 is the index finger and A4 the middle finger.
-/// A0, A1 and A2 are x, y and z. The accelerometer is read last to keep its delay short.
+/// A0, A1 and A2 carry x, y and z. The accelerometer is read last to keep its delay short.
 const CHANNELS: [u8; 5] = [3, 4, 0, 1, 2];
 /// The multiplexer's ground.
 const GROUND: u8 = 0b1111;
-/// Clock / 128 = 125 kHz. Full resolution requires 50 to 200 kHz. One conversion takes 13 clocks, 104 µs.
+/// The converter's clock is the CPU clock / 128 = 125 kHz. Full resolution requires 50 to 200 kHz. One conversion takes 13 clocks, 104 µs.
 const PRESCALER: u8 = 0b111;
-/// Number of sample periods after which an unfinished sample means that the converter hangs.
+/// If a sample is unfinished after this number of sample periods, the converter hangs.
 const PATIENCE: u8 = 3;
 
 struct Burst {
@@ -71,7 +71,7 @@ pub fn start() {
     adc.adcsra.write(|w| unsafe { w.bits(0b1001_0000 | PRESCALER) });
 }
 
-/// Starts the sample of this period. A previous sample that was not finished or not fetched counts as dropped.
+/// Starts the sample of this period. If the previous sample was not finished or not fetched, it counts as dropped.
 pub fn begin_sample(cs: CriticalSection<'_>) {
     let mut burst = BURST.borrow(cs).borrow_mut();
     let count = |counter: &Mutex<Cell<u32>>| {
@@ -145,12 +145,12 @@ pub fn has_sample() -> bool {
     interrupt::free(|cs| BURST.borrow(cs).borrow().finished.is_some())
 }
 
-/// Number of samples since start that were not taken or not fetched in time.
+/// Number of samples since start that were not taken, or were not fetched in time.
 pub fn dropped() -> u32 {
     interrupt::free(|cs| DROPPED.borrow(cs).get())
 }
 
-/// Number of times since start that a hanging converter was switched off and on again.
+/// Number of times since start that the firmware restarted a hanging converter.
 pub fn restarts() -> u32 {
     interrupt::free(|cs| RESTARTS.borrow(cs).get())
 }

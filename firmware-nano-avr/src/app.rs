@@ -1,5 +1,5 @@
-//! Connects [`LeftBoard`] to the registers: samples, received bytes and time go in; frames,
-//! EEPROM writes and the LED state come out.
+//! Connects [`LeftBoard`] to the registers. Its inputs are samples, received bytes and time, and its outputs are
+//! frames, EEPROM writes and the LED state.
 
 use crate::pins::Light;
 use crate::restart::{self, Cause};
@@ -41,15 +41,15 @@ pub struct App {
     last_status_period: u32,
 }
 
-/// The only [`App`]. It is in static memory so that the size of `.bss` includes it.
+/// The only [`App`]. It is in static memory, so the size of `.bss` includes the app.
 static mut APP: MaybeUninit<App> = MaybeUninit::uninit();
 
-/// Creates the [`App`]. `guided` starts the calibration that the LED guides.
-/// Must be called once per start.
-/// This function is not inlined, because its temporary copy would otherwise occupy the stack of `main` permanently.
+/// Creates the [`App`]. With `guided`, the app starts a calibration and guides the wearer with the LED.
+/// This function must be called only once per start.
+/// The function is not inlined, because its temporary copy of the app would otherwise occupy the stack of `main` permanently.
 #[inline(never)]
 pub fn install(cause: Cause, guided: bool) -> &'static mut App {
-    // Safety: this is the only use of `APP`. Interrupts are still disabled and never access it.
+    // Safety: no other code uses `APP` at this point. Interrupts are still disabled and never access it.
     let place = unsafe { &mut *addr_of_mut!(APP) };
     let identity = Identity {
         board: Board::LeftNano,
@@ -86,7 +86,7 @@ impl App {
         if period != self.period {
             self.period = period;
             restart::all_is_well();
-            // The converter finishes this sample 5 ms later.
+            // The converter finishes this sample 5 ms after the tick.
             if self.board.period(self.now_ms(), &mut queue) {
                 self.status();
             }

@@ -13,7 +13,7 @@ pub const PERIOD_MS: u32 = 1000 / SAMPLE_HZ as u32;
 const TICKS: u16 = (16_000_000 / 8 / SAMPLE_HZ as u32) as u16;
 
 static PERIODS: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
-/// Timer ticks spent asleep since the load was last read.
+/// Number of timer ticks that the processor spent asleep since the load was last read.
 static ASLEEP: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
 
 /// Starts the clock at 0.
@@ -26,7 +26,7 @@ pub fn start() {
     tc1.ocr1a.write(|w| w.bits(TICKS - 1));
     tc1.tifr1.write(|w| unsafe { w.bits(0xFF) });
     tc1.timsk1.write(|w| w.ocie1a().set_bit());
-    // Clear the timer on compare match (WGM12); timer clock = CPU clock / 8 (CS11).
+    // TIMER1 is cleared on compare match (WGM12), and its clock is the CPU clock / 8 (CS11).
     tc1.tccr1b.write(|w| unsafe { w.bits(0b0000_1010) });
 }
 
@@ -46,11 +46,11 @@ pub fn periods() -> u32 {
 
 /// Returns TIMER1's count within the current period.
 pub fn ticks_in_period() -> u16 {
-    // Safety: this is only a read. The interrupt uses the same latch for 16-bit accesses, so interrupts are disabled.
+    // Safety: this only reads the register. The interrupt uses the same latch for 16-bit accesses, so interrupts are disabled.
     interrupt::free(|_| unsafe { Peripherals::steal() }.TC1.tcnt1.read().bits())
 }
 
-/// Adds the time asleep since [`ticks_in_period`] returned `then`, which must be less than one period ago.
+/// Adds the time asleep since [`ticks_in_period`] returned `then`. That call must be less than one period ago.
 pub fn add_sleep_since(then: u16) {
     let now = ticks_in_period();
     let slept = if now >= then { now - then } else { now + TICKS - then };
@@ -63,6 +63,6 @@ pub fn add_sleep_since(then: u16) {
 /// Returns the share of `periods` that the processor was awake since the last call, in parts per thousand.
 pub fn take_load_permille(periods: u32) -> u16 {
     let asleep = interrupt::free(|cs| ASLEEP.borrow(cs).replace(0));
-    // Dividing by 64 lets the product with 1000 fit for intervals up to 2 seconds.
+    // After division by 64, the product with 1000 fits for intervals of up to 2 seconds.
     1000u16.saturating_sub(permille(asleep >> 6, (periods * u32::from(TICKS)) >> 6))
 }

@@ -14,7 +14,7 @@ pub fn is_busy() -> bool {
     eeprom().eecr.read().eepe().bit_is_set()
 }
 
-/// Reads a byte, after waiting for any write in progress.
+/// Waits until any write in progress has finished, and then reads a byte.
 pub fn read(address: u16) -> u8 {
     while is_busy() {}
     let eeprom = eeprom();
@@ -23,7 +23,7 @@ pub fn read(address: u16) -> u8 {
     eeprom.eedr.read().bits()
 }
 
-/// Starts to erase and write a byte, after waiting for any write in progress.
+/// Waits until any write in progress has finished, and then starts to erase and write a byte.
 pub fn write(address: u16, byte: u8) {
     while is_busy() {}
     let eeprom = eeprom();

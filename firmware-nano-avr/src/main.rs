@@ -1,8 +1,8 @@
 //! Firmware of the left hand: an Arduino Nano (ATmega328P, 16 MHz) with an ADXL335 and two flex sensors.
 //!
 //! This crate contains the drivers for pins, converter, serial line, timer, EEPROM and watchdog.
-//! `shared_board` defines the messages that the board sends, their timing and its replies.
-//! `shared_dsp` judges tilts, bends and faults.
+//! `shared_board` defines which messages the board sends, when it sends them, and how it replies.
+//! `shared_dsp` interprets tilts and bends, and detects faults.
 //! `shared_proto` defines every byte on the wire.
 //!
 //! ```text
@@ -27,8 +27,8 @@ use avr_device::interrupt;
 use core::arch::asm;
 
 /// Entry point for avr-libc's start code.
-/// Up to avr-libc 2.2 the start code calls `main` from `.init9`;
-/// from 2.3 on it falls through into the code placed there.
+/// The start code of avr-libc up to 2.2 calls `main` from `.init9`.
+/// From version 2.3 on, the start code falls through into the code placed there.
 #[unsafe(link_section = ".init9")]
 #[unsafe(export_name = "main")]
 extern "C" fn main() -> ! {
@@ -45,7 +45,7 @@ extern "C" fn main() -> ! {
         app.poll();
         interrupt::disable();
         if app.has_work() {
-            // All state that interrupts use is initialised at this point.
+            // At this point, all state that interrupts use has been initialised.
             unsafe { interrupt::enable() };
         } else {
             let asleep_at = clock::ticks_in_period();
@@ -57,9 +57,9 @@ extern "C" fn main() -> ! {
     }
 }
 
-/// Enables SLEEP in idle mode, which stops only the processor. Without SMCR.SE, the instruction has no effect.
+/// Enables SLEEP in idle mode, which stops only the processor. Without the bit SMCR.SE, SLEEP has no effect.
 fn allow_sleep() {
     const SE_IDLE: u8 = 1;
-    // Safety: nothing else writes this register.
+    // Safety: no other code writes this register.
     unsafe { avr_device::atmega328p::Peripherals::steal() }.CPU.smcr.write(|w| unsafe { w.bits(SE_IDLE) });
 }

@@ -10,7 +10,7 @@ pub struct Light;
 /// D2 (PD2), pulled up.
 struct CalibrationPin;
 
-/// Sets both pin directions and enables the pull-up of D2.
+/// Sets the directions of both pins and enables the pull-up of D2.
 pub fn start() {
     // Safety: only this module uses both ports.
     let dp = unsafe { Peripherals::steal() };
@@ -18,7 +18,7 @@ pub fn start() {
     dp.PORTB.portb.write(|w| unsafe { w.bits(0) });
     dp.PORTD.ddrd.write(|w| unsafe { w.bits(0) });
     dp.PORTD.portd.write(|w| w.pd2().set_bit());
-    // This delay lets the pull-up charge the pin.
+    // During this delay, the pull-up charges the pin.
     for _ in 0..200 {
         avr_device::asm::nop();
     }

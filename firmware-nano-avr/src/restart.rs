@@ -2,13 +2,13 @@
 //!
 //! **The bootloader trap.** After a watchdog reset the watchdog keeps running with a time-out of 16 ms.
 //! The old bootloader of many Nanos never stops the watchdog and waits for more than a second.
-//! The watchdog therefore resets the board repeatedly until the power is disconnected.
-//! If the old bootloader is found in flash, the watchdog only raises an interrupt.
+//! The watchdog therefore resets such a board repeatedly until the power is disconnected.
+//! If the firmware finds the old bootloader in flash, its watchdog only raises an interrupt.
 //! The interrupt restarts the program by a jump to address 0, past the bootloader.
-//! This method does not catch a program that hangs with interrupts disabled.
-//! Such a board is silent, which stops the robot, until the laptop reopens the port, which pulls the reset line.
+//! This method does not help if a program hangs with interrupts disabled.
+//! Such a board is silent, which stops the robot. When the laptop reopens the port, it pulls the reset line.
 //! With any other bootloader, the watchdog first raises an interrupt, which stores the reason.
-//! At its next time-out, the watchdog resets the board.
+//! At its next time-out after the interrupt, the watchdog resets the board.
 //!
 //! **A reset that is not reported.** Optiboot hides the reason of a reset.
 //! Under Optiboot, a program that hangs with interrupts disabled is reset too.
@@ -23,7 +23,7 @@ use core::ptr::{addr_of, addr_of_mut};
 /// Why the board started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Power-up, the reset button, or the laptop opened the serial port.
+    /// The board was powered up, the reset button was pressed, or the laptop opened the serial port.
     Ordinary,
     /// The watchdog.
     Watchdog,
@@ -37,7 +37,7 @@ pub enum Cause {
 #[derive(Clone, Copy)]
 struct Kept {
     magic: [u8; 2],
-    /// One of the marks below, or 0 if the last run left no mark.
+    /// One of the marks below, or 0 if the previous run left no mark.
     cause: u8,
     /// Number of starts since the last power-up. The counter wraps.
     starts: u8,
@@ -57,7 +57,7 @@ impl Kept {
 
     /// Returns `None` after a power-up, when the content of RAM is arbitrary.
     fn load() -> Option<Self> {
-        // Safety: every byte value is valid for this type, and nothing else accesses it.
+        // Safety: every byte value is valid for this type, and no other code accesses the memory.
         let kept = unsafe { addr_of!(KEPT).cast::<Self>().read_volatile() };
         (kept.magic == MAGIC && kept.check == !(kept.cause ^ kept.starts)).then_some(kept)
     }
@@ -72,19 +72,19 @@ impl Kept {
 #[unsafe(link_section = ".noinit")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-/// Stores a mark for the next start.
+/// Stores a mark that the next start reads.
 fn leave(cause: u8) {
     Kept::new(cause, starts()).store();
 }
 
-/// Stops the watchdog before anything else runs, and returns why the board started.
+/// Stops the watchdog before other code runs, and returns why the board started.
 pub fn begin() -> Cause {
     avr_device::interrupt::disable();
     // Safety: no other code runs yet.
     let dp = unsafe { Peripherals::steal() };
     let reset_flags = dp.CPU.mcusr.read().bits();
-    // While WDRF is set, the watchdog cannot be disabled, so clear WDRF first.
-    // Some bootloaders have already cleared it.
+    // While WDRF is set, the watchdog cannot be disabled, so WDRF must be cleared first.
+    // Some bootloaders have already cleared WDRF.
     dp.CPU.mcusr.write(|w| unsafe { w.bits(0) });
     set_watchdog(0);
     let kept = Kept::load();
@@ -97,13 +97,13 @@ pub fn begin() -> Cause {
     }
 }
 
-/// Number of starts since the last power-up, without the current one. The counter wraps.
+/// Number of earlier starts since the last power-up. The counter wraps.
 pub fn starts() -> u8 {
     Kept::load().map_or(0, |kept| kept.starts)
 }
 
 /// Starts the watchdog, which raises an interrupt after 0.25 s and resets the board after another 0.25 s.
-/// The reset is omitted if it would enter the trap of the old bootloader.
+/// The reset is omitted if the old bootloader would then reset the board repeatedly.
 pub fn arm() {
     const WDIE: u8 = 1 << 6;
     const WDE: u8 = 1 << 3;
@@ -112,10 +112,10 @@ pub fn arm() {
     set_watchdog(mode | QUARTER_SECOND);
 }
 
-/// The old bootloader starts at 0x7800. The new one starts at 0x7E00 and leaves the flash below it erased.
+/// The old bootloader starts at 0x7800. The new one starts at 0x7E00 and leaves the flash below erased.
 fn has_old_bootloader() -> bool {
     let (low, high): (u8, u8);
-    // Safety: reads two bytes of flash.
+    // Safety: this only reads two bytes of flash.
     unsafe {
         asm!("lpm {low}, Z+", "lpm {high}, Z", low = out(reg) low, high = out(reg) high,
             inout("Z") 0x7800u16 => _);
@@ -131,7 +131,7 @@ pub fn all_is_well() {
 fn set_watchdog(value: u8) {
     const WDCE_WDE: u8 = 0x18;
     avr_device::asm::wdr();
-    // The new value must be written within four cycles after the change is enabled.
+    // WDTCSR must be written within four cycles after its change is enabled.
     // Safety: this performs two stores to WDTCSR (0x60) with interrupts disabled.
     unsafe {
         asm!("sts 0x60, {permit}", "sts 0x60, {value}",
@@ -144,7 +144,7 @@ fn set_watchdog(value: u8) {
 /// completely.
 fn restart(mark: u8) -> ! {
     avr_device::interrupt::disable();
-    // Safety: interrupts are disabled, and no code of the old run continues.
+    // Safety: interrupts are disabled, and no code of the previous run continues.
     let dp = unsafe { Peripherals::steal() };
     dp.ADC.adcsra.write(|w| unsafe { w.bits(0) });
     dp.TC1.timsk1.write(|w| unsafe { w.bits(0) });

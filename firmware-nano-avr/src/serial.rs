@@ -1,6 +1,6 @@
 //! Drives the serial line to the laptop (USART0) with two ring buffers that interrupts fill and empty.
 //!
-//! Only [`Read`] and [`Write`] wait if the line is not ready, as their contracts require.
+//! Only [`Read`] and [`Write`] wait if the line is not ready, because their contracts require this.
 //! The firmware checks [`ReadReady`] and [`room`] first and therefore never waits.
 
 use avr_device::atmega328p::Peripherals;
@@ -26,22 +26,22 @@ const BAUD: u32 = if cfg!(feature = "baud-57600") {
 } else {
     115_200
 };
-/// With U2X one bit takes 8·(UBRR + 1) clocks.
+/// With U2X, the line sends one bit in 8·(UBRR + 1) clocks.
 /// After rounding, 57600 baud is 0.8 % slow, 115200 is 2.1 % fast, and 250000 is exact.
 const UBRR: u16 = ((16_000_000 / 8 + BAUD / 2) / BAUD - 1) as u16;
 const _: () = assert!(UBRR == 34 || UBRR == 16 || UBRR == 7);
 
-/// This size covers the bytes that arrive while a frame is computed (less than 3 ms, at most 11 bytes per ms).
+/// The buffer holds the bytes that arrive while a frame is computed (less than 3 ms, at most 11 bytes per ms).
 static RECEIVED: Mutex<RefCell<Deque<u8, 64>>> = Mutex::new(RefCell::new(Deque::new()));
-/// This size covers the most frames that can be due together: a hello, a fault and two states.
+/// The buffer holds the largest number of frames that can be due together: a hello, a fault and two states.
 static TO_SEND: Mutex<RefCell<Deque<u8, 160>>> = Mutex::new(RefCell::new(Deque::new()));
-/// Number of bytes that were lost to an overrun or a wrong stop bit.
+/// Number of bytes that an overrun or a wrong stop bit destroyed.
 static LOST: Mutex<Cell<u16>> = Mutex::new(Cell::new(0));
 
 /// The line.
 pub struct Serial;
 
-/// Enables 8N1 at the configured baud rate, the receiver and its interrupt. Must be called with interrupts disabled.
+/// Enables the receiver, its interrupt, and 8N1 at the configured baud rate. Must be called with interrupts disabled.
 pub fn start() {
     // Safety: only this module uses USART0.
     let usart = unsafe { Peripherals::steal() }.USART0;
@@ -49,7 +49,7 @@ pub fn start() {
     usart.ucsr0a.write(|w| w.u2x0().set_bit());
     // Frame format: 8 data bits, no parity, one stop bit.
     usart.ucsr0c.write(|w| unsafe { w.bits(0b0000_0110) });
-    // Write this register last, because the emulator computes the baud rate at this write.
+    // This register must be written last, because the emulator then computes the baud rate.
     usart.ubrr0.write(|w| w.bits(UBRR));
     // RXCIE, RXEN, TXEN.
     usart.ucsr0b.write(|w| unsafe { w.bits(0b1001_1000) });
@@ -85,7 +85,7 @@ fn USART_UDRE() {
     });
 }
 
-/// Number of bytes that [`Write`] accepts without waiting.
+/// Number of bytes that [`Write`] accepts without waiting for the line.
 pub fn room() -> usize {
     interrupt::free(|cs| {
         let queue = TO_SEND.borrow(cs).borrow();

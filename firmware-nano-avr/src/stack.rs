@@ -1,4 +1,4 @@
-//! Measures the unused stack: the memory is painted at start, and the untouched part is counted once per second.
+//! Measures the unused stack. The memory is painted at start, and every second the untouched part is counted.
 
 use core::arch::asm;
 use core::ptr::{addr_of, addr_of_mut};
@@ -39,7 +39,7 @@ pub fn paint() {
 pub fn least_free() -> u16 {
     let mut at = addr_of!(__heap_start);
     let mut free = 0;
-    // Safety: the loop ends at the stack in use, because it contains other values.
+    // Safety: the loop ends at the used part of the stack, which contains other values.
     while (at as usize) < stack_pointer() && unsafe { at.read_volatile() } == PAINT {
         free += 1;
         at = unsafe { at.add(1) };

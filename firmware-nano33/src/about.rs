@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 use nano33_sensor::found::Kind;
 use shared_proto::message::{About, Image, ResetCause};
 
-/// Sensor, axes and reset cause as protocol bytes in atomics, so that any task can read them.
+/// Sensor, axes and reset cause as protocol bytes. They are atomics, so that any task can read them.
 static SENSOR: AtomicU8 = AtomicU8::new(0);
 static AXES: AtomicU8 = AtomicU8::new(0);
 static RESET: AtomicU8 = AtomicU8::new(0);
@@ -37,7 +37,7 @@ pub fn started(reasons: u32) {
     RESET.store(cause.into(), Ordering::Relaxed);
 }
 
-/// Stores the detected sensor and its number of axes. The laptop translates the number of the sensor to a name.
+/// Stores the detected sensor and its number of axes. The laptop converts the sensor's number to a name.
 pub fn found(kind: Kind, axes: usize) {
     SENSOR.store(kind as u8, Ordering::Relaxed);
     AXES.store(axes as u8, Ordering::Relaxed);

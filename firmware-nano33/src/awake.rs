@@ -11,14 +11,13 @@ pub const CYCLES_HZ: u32 = 64_000_000;
 /// Runs tasks for ever and sleeps while no task is ready.
 ///
 /// The cycle counter stops while the core sleeps.
-/// It therefore measures the time awake, including interrupts and the SoftDevice.
+/// The counter therefore measures the time awake, including interrupts and the SoftDevice.
 /// An attached debugger may prevent the counter from stopping.
 pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
     static EXECUTOR: static_cell::StaticCell<raw::Executor> = static_cell::StaticCell::new();
     dcb.enable_trace();
     dwt.enable_cycle_counter();
-    // This is the context value of the thread-mode executor: a task that wakes sends an event,
-    // which ends the sleep below.
+    // The executor in thread mode receives this context value: a task that wakes sends an event, which ends the sleep below.
     let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
     init(executor.spawner());
     loop {
@@ -52,7 +51,7 @@ pub fn cycles() -> u32 {
     DWT::cycle_count()
 }
 
-/// Measures the share of time awake since the last call, in parts per thousand.
+/// Returns the share of time awake since the last call, in parts per thousand.
 pub struct Load {
     cycles: u32,
     at: embassy_time::Instant,
@@ -64,7 +63,7 @@ impl Load {
         Self { cycles: cycles(), at: embassy_time::Instant::now() }
     }
 
-    /// Returns the share, rounded up. Calls must be at most one minute apart.
+    /// Returns the share awake, rounded up. Calls must be at most one minute apart.
     pub fn permille(&mut self) -> u16 {
         let (now, at) = (cycles(), embassy_time::Instant::now());
         let awake = u64::from(now.wrapping_sub(self.cycles));
@@ -108,7 +107,7 @@ pub fn free_stack_bytes() -> u32 {
     let mut at = top;
     while at > bottom && run < RUN {
         at -= 4;
-        // SAFETY: as above. The address is aligned because the end of the statics and the stack pointer are aligned.
+        // SAFETY: as in the function above. The ends of statics and stack are aligned, so the address is too.
         if unsafe { (at as *const u32).read_volatile() } == PAINT {
             run += 1;
         } else {

@@ -14,7 +14,7 @@ bind_interrupts!(struct Irqs {
 
 /// A minute: a battery changes slowly.
 const BETWEEN: Duration = Duration::from_secs(60);
-/// Full scale of the converter in millivolts: 0.6 V reference, gain 1/6, 12 bits.
+/// Full scale of the converter in millivolts, which follows from a 0.6 V reference, gain 1/6 and 12 bits.
 const FULL_SCALE_MV: u32 = 3600;
 
 /// The divider.
@@ -23,10 +23,10 @@ pub struct Parts {
     pub converter: Peri<'static, SAADC>,
     /// Its middle.
     pub middle: AnyInput<'static>,
-    /// Lower end of the divider, always driven low.
-    /// If it floated, the middle of the divider would rise to the battery's voltage, which is too high for a pin.
+    /// The lower end of the divider, which the board always drives low.
+    /// If this end floated, the middle of the divider would rise to the battery's voltage, which is too high for a pin.
     pub low: Peri<'static, AnyPin>,
-    /// Resistance of the whole divider and of its lower part, in kilohms.
+    /// Resistances of the whole divider and of its lower part, in kilohms.
     pub kilohms: (u32, u32),
 }
 

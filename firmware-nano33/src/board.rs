@@ -16,19 +16,19 @@ use crate::{about, boards};
 /// The board's logic.
 pub type Board = RightBoard<CountHand<'static, AXES>>;
 
-/// Requirements for a model to run on this image, if the sensor has all nine axes.
+/// Requirements that a model must meet to run on this image, if the sensor has all nine axes.
 pub const RUNS: Runs = Runs { axes: AXES as u8, sample_hz: SAMPLE_HZ as u16 };
 
 static BOARD: OnceLock<ThreadModeMutex<RefCell<Board>>> = OnceLock::new();
 
-/// Stores the board. Called once, before any task runs.
+/// Stores the board. This must be called once, before any task runs.
 pub fn install(board: Board) {
     if BOARD.init(ThreadModeMutex::new(RefCell::new(board))).is_err() {
         defmt::unreachable!("installed once");
     }
 }
 
-/// Calls `act` with the board, after updating the board with the sensor's detected properties.
+/// Updates the board with the sensor's detected properties, and then calls `act` with it.
 pub fn with<R>(act: impl FnOnce(&mut Board) -> R) -> R {
     let Some(board) = BOARD.try_get() else { defmt::unreachable!("installed before any task runs") };
     board.lock(|board| {

@@ -22,14 +22,14 @@ pub struct SensorPins {
     pub scl: Peri<'static, AnyPin>,
     /// Supplies the sensor while high.
     pub power: Peri<'static, AnyPin>,
-    /// Supplies the pull-ups of the bus while high, on boards with a separate pin for them.
+    /// Supplies the pull-ups of the bus while high. Not all boards have this pin.
     pub pull_ups: Option<Peri<'static, AnyPin>>,
 }
 
-/// 390 kHz. At the nominal 400 kHz the clock's low period is shorter than I2C allows (nRF52840 erratum 219).
+/// The bus runs at 390 kHz. At the nominal 400 kHz, its low period is shorter than I2C allows (nRF52840 erratum 219).
 const FREQUENCY: u32 = 0x0620_0000;
 
-/// The internal I2C bus, which is not the one on the board's header.
+/// The I2C bus inside the module, which is not the one on the board's header.
 pub struct SensorBus {
     twim: Peri<'static, TWISPI0>,
     sda: Peri<'static, AnyPin>,
@@ -48,7 +48,7 @@ impl SensorBus {
             twim,
             sda: pins.sda,
             scl: pins.scl,
-            // The sensors of a Rev2 and of a XIAO require high drive strength.
+            // The sensors of a Rev2 and of a XIAO work only with high drive strength.
             power: Output::new(pins.power, Level::Low, OutputDrive::HighDrive),
             pull_ups: pins.pull_ups.map(|pin| Output::new(pin, Level::Low, OutputDrive::Standard)),
             tx_buffer: TX_BUFFER.take(),
@@ -56,7 +56,7 @@ impl SensorBus {
     }
 
     /// Switches the sensor on and, 10 ms later, the pull-ups, as Arduino's core does.
-    /// Then waits for the sensor to start.
+    /// After that, it waits for the sensor to start.
     pub async fn power_up(&mut self) {
         self.power.set_high();
         Timer::after(Duration::from_millis(10)).await;
@@ -112,9 +112,9 @@ impl SensorBus {
     }
 }
 
-/// The bus controller, with a pause after a failed transfer.
+/// The bus controller. After a failed transfer, it pauses.
 ///
-/// After an error embassy-nrf's driver requests a stop condition and does not wait for it.
+/// After an error, embassy-nrf's driver requests a stop condition but does not wait for it.
 /// Without the pause, the late "stopped" event would end the next transfer before its start and leave a buffer
 /// of zeros.
 pub struct Wire<'a>(Twim<'a>);

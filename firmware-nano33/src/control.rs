@@ -1,4 +1,4 @@
-//! The receiving task passes the laptop's messages to the board and to the model store, which reply to them.
+//! The receiving task passes the laptop's messages to the board and to the model store. Both reply to these messages.
 
 use embassy_time::{Duration, Timer};
 use shared_board::models::{MappedFlash, ModelStore};
@@ -8,7 +8,7 @@ use shared_proto::message::HostMessage;
 use crate::link::INBOX;
 use crate::{about, board, state, vibrate};
 
-/// Pause after erasing a page, which stops the processor for 85 ms. The sensor's FIFO covers 134 ms.
+/// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
 const PAUSE: Duration = Duration::from_millis(40);
 
 /// Answers for ever.
@@ -16,7 +16,7 @@ pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
     loop {
         let received = INBOX.receive().await;
         let mut link = received.link;
-        // Messages unknown to this version get no reply. Damaged frames were already counted.
+        // Messages that this version does not know get no reply. Damaged frames were already counted.
         let Ok(message) = parse_host(&received.payload) else { continue };
         let request =
             board::with(|board| board.receive(&message, received.trusted, state::now_ms(), &mut link));

@@ -1,8 +1,8 @@
-//! Writing to flash through the chip's controller, where no radio is in the way.
+//! Writes to flash with the chip's controller, for images whose radio does not own it.
 
 use crate::storage::{Flash, FlashFailed};
 
-/// The chip's controller. Erasing a page stops the processor for about 85 ms.
+/// The flash controller of the chip. While it erases a page, the processor stops for about 85 ms.
 pub struct Controller(embassy_nrf::nvmc::Nvmc<'static>);
 
 impl Controller {

@@ -3,7 +3,7 @@
 //! Each transport has an [`Outbox`].
 //! While nobody listens, the outbox rejects frames.
 //! A full outbox drops its oldest frame.
-//! Late frames are not useful, because every state frame is complete in itself.
+//! Late frames would be useless, because every state frame is complete in itself.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -28,7 +28,7 @@ pub enum WayOut {
     Ble,
 }
 
-/// Frames that wait for one transport.
+/// Frames that wait to be sent by one transport.
 pub struct Outbox {
     frames: Channel<CriticalSectionRawMutex, Frame, 6>,
     open: AtomicBool,
@@ -39,7 +39,7 @@ impl Outbox {
         Self { frames: Channel::new(), open: AtomicBool::new(false) }
     }
 
-    /// Sets whether anybody listens, and discards the waiting frames.
+    /// Sets whether a laptop listens, and discards the waiting frames.
     pub fn set_open(&self, open: bool) {
         if self.open.swap(open, Ordering::Relaxed) != open {
             self.frames.clear();
@@ -61,7 +61,7 @@ impl Outbox {
         self.frames.receive().await
     }
 
-    /// The next frame, for whoever has no `await`.
+    /// Returns the next frame, for callers that cannot use `await`.
     #[cfg(feature = "trouble")]
     pub fn poll_next(&self, context: &mut core::task::Context<'_>) -> core::task::Poll<Frame> {
         self.frames.poll_receive(context)
@@ -123,11 +123,11 @@ impl FrameOut for Everywhere {
     }
 }
 
-/// A decoded frame from the laptop, still in postcard encoding, and the link it arrived on.
+/// A decoded frame from the laptop, still in postcard encoding, and the link on which the frame arrived.
 pub struct Received {
-    /// The link on which to reply.
+    /// The link on which the board must reply.
     pub link: WayOut,
-    /// Whether the link may make permanent changes to the board. A Bluetooth link must be bonded for this.
+    /// Whether the link may make permanent changes to the board. A Bluetooth link may do so only if it is bonded.
     pub trusted: bool,
     /// The message.
     pub payload: heapless::Vec<u8, HOST_FRAME_MAX>,
@@ -136,7 +136,7 @@ pub struct Received {
 /// Messages from the laptop, in order. While the inbox is full, the transports wait.
 pub static INBOX: Channel<CriticalSectionRawMutex, Received, 3> = Channel::new();
 
-/// Decodes the bytes of one transport to messages in the [`INBOX`].
+/// Decodes the bytes of one transport to messages, which it puts in the [`INBOX`].
 pub struct Inlet {
     link: WayOut,
     decoder: Decoder<HOST_FRAME_MAX>,
@@ -144,7 +144,7 @@ pub struct Inlet {
 }
 
 impl Inlet {
-    /// Creates an inlet that waits for the start of a frame.
+    /// Creates an inlet, which waits for the start of a frame.
     pub const fn new(link: WayOut) -> Self {
         Self { link, decoder: Decoder::new(), damaged: 0 }
     }

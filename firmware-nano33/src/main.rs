@@ -46,8 +46,8 @@ compile_error!(
 use defmt_rtt as _;
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 
-/// Logs are for the probe; the laptop hears of it at the next start. The image with Bluetooth linked in is for boards without a
-/// probe, and all those words would be a tenth of it.
+/// Logs go to the probe, and the laptop receives a report at the next start. Boards with Bluetooth linked in have no
+/// probe, and the log texts would be a tenth of their image.
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
@@ -63,24 +63,23 @@ fn main() -> ! {
     boards::begin();
     let mut config = embassy_nrf::config::Config::default();
     config.lfclk_source = embassy_nrf::config::LfclkSource::ExternalXtal;
-    // The radio's stack owns the fast crystal; without it, USB needs the crystal on.
+    // The radio's stack owns the fast crystal. In images without a radio, USB needs the crystal to be on.
     #[cfg(not(feature = "radio"))]
     {
         config.hfclk_source = embassy_nrf::config::HfclkSource::ExternalXtal;
     }
-    // The DC/DC converter halves the current compared to the linear regulator.
-    // All supported boards have the required coil.
+    // The DC/DC converter halves the current compared to the linear regulator. All supported boards have its coil.
     config.dcdc.reg1 = true;
-    // 0, 1 and 4 belong to the SoftDevice, 0 and 4 to the linked-in controller.
+    // The SoftDevice reserves the priorities 0, 1 and 4, and the linked-in controller reserves 0 and 4.
     config.time_interrupt_priority = Priority::P2;
     config.gpiote_interrupt_priority = Priority::P7;
     let p = embassy_nrf::init(config);
     let reasons = embassy_nrf::pac::POWER.resetreas().read();
-    // Writing ones clears the bits.
+    // Writing ones clears the bits of RESETREAS.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
     about::started(reasons);
-    // The flash cache reduces the number of flash reads and thus the current.
+    // The flash cache reduces the number of flash reads and therefore the current.
     embassy_nrf::pac::NVMC.icachecnf().write(|w| w.set_cacheen(true));
     for (irq, priority) in [
         (interrupt::TWISPI0, Priority::P3),

@@ -21,11 +21,11 @@ struct Aligned<T: ?Sized>(T);
 
 static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/model.blob")));
 
-/// Installs the board with the model to run, and returns the store for received models.
+/// Creates the board with the model to run, and returns the store for received models.
 pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
-    // The store has parsed a stored model, and build.rs checks the built-in one.
+    // The store has checked a stored model, and build.rs checks the built-in one.
     let hand =
         Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
     let Some(hand) = hand else { defmt::unreachable!("checked before") };

@@ -25,7 +25,7 @@ pub const SAMPLE_HZ: u64 = 100;
 /// Values per sample.
 pub const AXES: usize = 9;
 
-/// One sample on the grid, in counts of [`nano33_sensor::SCALE`]: accX accY accZ gyrX gyrY gyrZ magX magY magZ.
+/// One sample on the grid. The order is accX accY accZ gyrX gyrY gyrZ magX magY magZ, in counts of [`nano33_sensor::SCALE`].
 /// The last three values are 0 on a board without a magnetometer.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
@@ -37,7 +37,7 @@ pub struct Sample {
     pub counts: [i16; AXES],
 }
 
-/// Message to the classification task.
+/// A message to the classification task.
 #[derive(Clone, Copy, Debug)]
 pub enum Taken {
     /// The next sample.
@@ -46,7 +46,7 @@ pub enum Taken {
     Gap,
 }
 
-/// Samples on their way to the classification task.
+/// Samples that wait for the classification task.
 pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new();
 
 /// Time limit of one poll, after which the bus counts as stuck.
@@ -55,9 +55,9 @@ pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new()
 const POLL_TIMEOUT: Duration = Duration::from_millis(150);
 /// If no new sets arrive for this long, the task checks the sensor's settings.
 const SILENCE: Duration = Duration::from_millis(50);
-/// A failing sensor is restarted after this time. The sensor's FIFO covers 134 ms.
+/// A failing sensor is restarted after this time, which is shorter than the 134 ms that the sensor's FIFO holds.
 const PATIENCE: Duration = Duration::from_millis(60);
-/// Time limit for configuring a sensor. Loading the BMI270's configuration file takes half of it.
+/// Time limit for the configuration of a sensor. The BMI270 needs half of it to load its configuration file.
 const START_TIMEOUT: Duration = Duration::from_millis(800);
 /// Pause between attempts to start the sensor.
 const RETRY: Duration = Duration::from_millis(250);
@@ -131,7 +131,7 @@ fn say(why: ImuError) {
     }
 }
 
-/// Advances to the first grid time that is not in the past. The skipped samples count as dropped.
+/// Advances to the first grid time that is not in the past. Every skipped sample counts as dropped.
 fn skip_past(next: &mut u64) {
     let now = Instant::now();
     while tick_of(*next) < now {

@@ -6,12 +6,12 @@ use embedded_storage_async::nor_flash::{
 use shared_board::models::{MappedFlash, StoredModel};
 use shared_board::slots::STORE_BYTES;
 
-/// Start address of the slots. The memory layouts in `src/boards` end the image at this address.
+/// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// Address of the page before the slots, which stores the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
 pub const BOND_PAGE: u32 = SLOTS_START - PAGE_BYTES;
-/// The two pages before them hold the log of bonds.
+/// The two pages before the slots hold the log of bonds.
 #[cfg(feature = "trouble")]
 pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
@@ -108,7 +108,7 @@ fn stored(offset: usize, len: usize) -> &'static [u8] {
 }
 
 fn mapped(start: u32, len: usize) -> &'static [u8] {
-    // SAFETY: memory-mapped flash that the linker gives to nobody. It changes only through `Flash`. A `ModelStore`
-    // keeps no reference while it writes, and never writes to the slot whose model runs; nor does a `BondLog`.
+    // SAFETY: this is memory-mapped flash that the linker does not use. It changes only through `Flash`. A `ModelStore` keeps
+    // no reference while it writes, and never writes to the slot of the running model. The same holds for a `BondLog`.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }
 }

@@ -16,7 +16,7 @@ bind_interrupts!(struct Irqs {
     UARTE0 => buffered_uarte::InterruptHandler<UARTE0>;
 });
 
-/// Peripherals that the driver uses. It counts received bytes with a timer.
+/// The peripherals of the driver, which counts received bytes with a timer.
 pub struct Parts {
     /// The controller.
     pub uarte: Peri<'static, UARTE0>,
@@ -33,14 +33,14 @@ pub struct Parts {
 static RX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 static TX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 
-/// Sends and receives for ever.
+/// Sends and receives without end.
 #[cfg(not(feature = "radio"))]
 #[embassy_executor::task]
 pub async fn run(mut parts: Parts) -> ! {
     serve(&mut parts, RX.take(), TX.take()).await
 }
 
-/// Sends and receives while the USB cable is in.
+/// Sends and receives while the USB cable is connected.
 #[cfg(feature = "radio")]
 #[embassy_executor::task]
 pub async fn run(mut parts: Parts) -> ! {

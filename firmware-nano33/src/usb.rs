@@ -19,7 +19,7 @@ bind_interrupts!(struct Irqs {
 
 const TOUCH_BAUD: u32 = 1200;
 const PACKET: usize = 64;
-/// A write that takes this long means that the laptop has stopped reading. Its frames are then dropped, not queued.
+/// If a write takes this long, the laptop has stopped reading. Its frames are then dropped, not queued.
 const STALLED: Duration = Duration::from_millis(100);
 
 static CONFIG_DESCRIPTOR: ConstStaticCell<[u8; 128]> = ConstStaticCell::new([0; 128]);
@@ -27,7 +27,7 @@ static CONTROL: ConstStaticCell<[u8; 64]> = ConstStaticCell::new([0; 64]);
 static SERIAL: ConstStaticCell<[u8; 16]> = ConstStaticCell::new([b'0'; 16]);
 static STATE: StaticCell<State<'static>> = StaticCell::new();
 
-/// Operates the port for ever.
+/// Operates the USB port without end.
 pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) -> ! {
     let driver = usb::Driver::new(usbd, Irqs, vbus);
     let (vendor, product) = boards::USB.ids;
@@ -52,7 +52,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
                     Either::Second(()) => {
                         outbox.set_open(control.dtr());
                         if sender.line_coding().data_rate() == TOUCH_BAUD && !control.dtr() {
-                            // This delay lets the laptop receive its reply first.
+                            // During this delay, the laptop receives its reply.
                             Timer::after(Duration::from_millis(50)).await;
                             boards::enter_bootloader();
                         }
@@ -72,7 +72,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
                 }
                 match sent {
                     Ok(Ok(())) => {}
-                    // Nobody reads, so the waiting frames would be out of date by the time anybody does.
+                    // Nobody reads the frames, so they would be out of date when a reader appears.
                     Err(_) => outbox.forget(),
                     Ok(Err(_)) => break,
                 }
@@ -94,7 +94,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
     unreachable!("all run for ever")
 }
 
-/// The chip's serial number in hexadecimal, which lets operating systems distinguish two boards.
+/// The chip's serial number in hexadecimal. Operating systems use it to distinguish two boards.
 fn serial_number() -> &'static str {
     let text = SERIAL.take();
     let id = [1, 0].map(|word| embassy_nrf::pac::FICR.deviceid(word).read());

@@ -1,5 +1,5 @@
 //! Drives the pin of the vibration motor with the pulse width that the board's logic sets.
-//! While the motor is off, the pin is low and its clock is stopped.
+//! While the motor is off, its pin is low and the PWM clock is stopped.
 
 use embassy_futures::select::select;
 use embassy_nrf::Peri;
@@ -12,13 +12,13 @@ use embassy_time::{Duration, Timer};
 
 use crate::{board, state};
 
-/// Signals that the laptop has requested a vibration.
+/// Signals that the laptop has requested vibration.
 pub static FELT: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
 /// Clock cycles per per cent of pulse width: 16 MHz / 20 kHz / 100. People cannot hear 20 kHz.
 const PERCENT: u16 = 8;
 
-/// The pin for the transistor of an optional motor.
+/// The pin that controls the transistor of an optional motor.
 pub struct Parts {
     /// The PWM generator. It is not PWM0, because the stock bootloader leaves that one running.
     pub pwm: Peri<'static, PWM1>,
@@ -26,7 +26,7 @@ pub struct Parts {
     pub pin: Peri<'static, AnyPin>,
 }
 
-/// Drives the pin for ever.
+/// Drives the pin without end.
 #[embassy_executor::task]
 pub async fn run(parts: Parts) -> ! {
     let mut config = SimpleConfig::default();
@@ -43,7 +43,7 @@ pub async fn run(parts: Parts) -> ! {
             // With this polarity the pin is high while the counter is below the value.
             pwm.set_duty(0, DutyCycle::inverted(PERCENT * u16::from(percent)));
             if percent == 0 {
-                // This stops the generator's clock and returns the pin to the GPIO port, which drives it low.
+                // Disabling stops the generator's clock and returns the pin to the GPIO port, which drives it low.
                 pwm.disable();
             }
         }

@@ -1,4 +1,4 @@
-//! Sends the status every second, drives the LED, feeds the watchdog, and records a panic across a restart.
+//! Sends the status every second, drives the LED, feeds the watchdog, and stores a mark when the program panics.
 
 use core::sync::atomic::Ordering;
 
@@ -13,7 +13,7 @@ use crate::board;
 use crate::link::{self, Everywhere};
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
-/// Red, green and blue pins of the board's LED, which are on while low.
+/// Pins of the board's LED for red, green and blue; a colour is on while its pin is low.
 pub struct Led {
     /// Something is wrong.
     pub red: Output<'static>,
@@ -23,7 +23,7 @@ pub struct Led {
     pub blue: Output<'static>,
 }
 
-/// Starts the watchdog, which resets the board unless [`feed`] runs and all tasks are alive.
+/// Starts the watchdog, which resets the board if [`feed`] does not run or a task stops.
 pub fn start_watchdog(
     wdt: embassy_nrf::Peri<'static, embassy_nrf::peripherals::WDT>,
 ) -> Option<WatchdogHandle> {
@@ -32,7 +32,7 @@ pub fn start_watchdog(
     config.action_during_debug_halt = wdt::HaltConfig::Pause;
     match Watchdog::try_new::<_, 1>(wdt, config) {
         Ok((_, [handle])) => Some(handle),
-        // A bootloader started the watchdog with other settings, which cannot be changed until the next reset.
+        // A bootloader has started the watchdog with other settings, which cannot change until the next reset.
         Err(_) => None,
     }
 }
@@ -83,7 +83,7 @@ unsafe extern "C" {
 }
 const MARK: u32 = 0xDEAD_0A33;
 
-/// Stores the mark and restarts the board.
+/// Stores the mark of a panic and restarts the board.
 #[inline(never)]
 pub fn restart_after_panic() -> ! {
     // SAFETY: there is one core, interrupts are disabled, and no other code accesses the word.
@@ -93,10 +93,10 @@ pub fn restart_after_panic() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Reports how the last run ended. `reasons` is the value of RESETREAS at start.
+/// Reports how the previous run ended. `reasons` is the value of RESETREAS at start.
 pub fn report_last_run(reasons: u32) {
     const WATCHDOG: u32 = 1 << 1;
-    // SAFETY: as above, and no other code runs at start.
+    // SAFETY: as in the panic handler, and no other code runs at start.
     let panicked = unsafe {
         let mark = (&raw const PANICKED).read_volatile();
         (&raw mut PANICKED).write_volatile(0);

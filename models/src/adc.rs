@@ -1,9 +1,9 @@
 //! Recordings of the left hand: raw converter counts, as read by the Nano.
 //!
 //! A CSV file has the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`), with 8 to 12 bits at 50 to 500 Hz.
-//! It is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz;
+//! The recording is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz;
 //! [`Read::notes`] mention this.
-//! `host-bridge record --hand left` writes eighths of a conversion (512.375), so that nothing is lost.
+//! `host-bridge record --hand left` writes eighths of a count (512.375), so nothing is lost.
 //! Nothing is repaired silently: unusable data causes an error with file, line, column and a remedy.
 
 use std::fmt::Write as _;
@@ -15,16 +15,16 @@ use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 use crate::sheet::RecordingError;
 use crate::sheet::left::{CHANNEL_NAMES, LeftRow, LeftSheet};
 
-/// The board samples every 10 ms. A recording with a similar mean interval is used unchanged.
+/// The board samples every 10 ms. A recording whose mean interval is close to that is used unchanged.
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
-/// Mean intervals that can be converted, with their rates.
+/// Mean intervals that can be converted, and the corresponding rates.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
 const USABLE_HZ: (f64, f64) = (50.0, 500.0);
-/// Resolutions of converters that are inferred from the values, given this many samples.
+/// Converter resolutions that the reader infers from the values, if it has this many samples.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
-/// Samples of all five channels with their times.
+/// Samples of all five channels, and their times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AdcRecording {
     /// Time and readings of each sample.
@@ -34,11 +34,11 @@ pub struct AdcRecording {
 /// A recording from a file, with notes about its conversion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Read {
-    /// The recording in the form that the board would have sampled.
+    /// The recording as the board would have sampled it.
     pub recording: AdcRecording,
     /// Descriptions of everything that was inferred or changed.
     pub notes: Vec<String>,
-    /// The first time in the file, in ms.
+    /// The first time in the file, in milliseconds.
     pub start_ms: f64,
 }
 
@@ -46,7 +46,7 @@ impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
-    /// [`RecordingError`] unless the file is a complete recording.
+    /// [`RecordingError`] unless the file contains a complete recording.
     pub fn read(file: &Path) -> Result<Read, RecordingError> {
         let bytes =
             std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
@@ -90,7 +90,7 @@ impl AdcRecording {
         let samples: Vec<(u64, AdcCounts)> = if INTERVAL_MS.contains(&interval_ms) {
             samples.iter().map(|row| (row.time_ms.round() as u64, reading(row.conversions))).collect()
         } else {
-            // A pause must not affect the rate of a usable recording.
+            // A pause must not affect the measured rate of a usable recording.
             let usual = usual_interval(samples);
             if !USABLE_MS.contains(&usual) {
                 return Err(sheet.wrong_rate(interval_ms, USABLE_HZ));
@@ -111,7 +111,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// Returns the CSV text: 10-bit conversions, with eighths if there are any.
+    /// Returns CSV text with 10-bit conversions, or with eighths of them if there are any.
     pub fn to_csv(&self) -> String {
         let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {
@@ -123,7 +123,7 @@ impl AdcRecording {
     }
 }
 
-/// Finds the first place where all five values stay equal until the board would report a fault.
+/// Finds the first place where all five values stay equal for so long that the board would report a fault.
 /// Returns the start and duration of this period in ms.
 fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     let mut from = 0;
@@ -138,8 +138,8 @@ fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     None
 }
 
-/// Infers the converter's number of bits.
-/// Straight fingers read two thirds of its range, so most values are below its end, but not all are below the middle.
+/// Infers the resolution of the converter in bits.
+/// Straight fingers read two thirds of the range. Most values are below its end, but not all are below the middle.
 /// Few samples, or samples with eighths, count as 10 bits.
 fn bits(samples: &[LeftRow]) -> u32 {
     let mut all: Vec<f64> = samples.iter().flat_map(|row| row.conversions).collect();
@@ -158,7 +158,7 @@ fn usual_interval(samples: &[LeftRow]) -> f64 {
     steps[steps.len() / 2]
 }
 
-/// Resamples to 10 ms by interpolation, or by the mean within 5 ms for higher rates; pauses have no samples.
+/// Resamples to 10 ms by interpolation. Higher rates use the mean within 5 ms, and pauses have no samples.
 fn resampled(
     samples: &[LeftRow],
     usual_ms: f64,
@@ -169,7 +169,7 @@ fn resampled(
     let end_ms = samples.last().map_or(0.0, |last| last.time_ms);
     let mut taken = Vec::new();
     let (mut left, mut from, mut to) = (0, 0, 0);
-    // Skips a pause at once, because a wrong clock can make it extremely long.
+    // Skips a pause in one step, because a wrong clock can make it extremely long.
     let mut time_ms = 0;
     while time_ms as f64 <= end_ms {
         let at = time_ms as f64;
@@ -230,7 +230,7 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
-    /// A level hand with straight fingers that tilts once, from a converter with this many bits.
+    /// A level hand with straight fingers that tilts once, read by a converter with this many bits.
     fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
         let full = f64::from(1u32 << bits);
         let row = |n: usize| {

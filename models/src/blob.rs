@@ -1,6 +1,6 @@
 //! Converts a model's files to the blob that boards and bridge run.
 //!
-//! The blob is derived from `.tflite` and card alone, and its CRC-32 is the model id on the wire.
+//! The blob depends only on `.tflite` and card, and its CRC-32 is the model id on the wire.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 use crate::card::{Card, CardError};
 use crate::tflite::{self, Network, TfliteError};
 
-/// The reason why a blob cannot be built, with a remedy in the text.
+/// The reason why a blob cannot be built. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The file cannot be read.
@@ -30,10 +30,10 @@ pub enum ModelError {
     Tflite {
         /// The file.
         file: PathBuf,
-        /// Description of the problem with the file.
+        /// Description of the problem that the file has.
         source: TfliteError,
     },
-    /// Model and card are valid, but they do not match or are not suitable.
+    /// Model and card are both valid, but they do not match or are not suitable.
     #[error("{file}: {what}")]
     Mismatch {
         /// The model's file.
@@ -43,7 +43,7 @@ pub enum ModelError {
     },
 }
 
-/// A model's files, which were read and match.
+/// The files of a model, which were read and match each other.
 #[derive(Clone, Debug)]
 pub struct ModelFiles {
     /// The card.
@@ -60,7 +60,7 @@ impl ModelFiles {
         Self::new(model, &bytes, Card::read(model)?)
     }
 
-    /// Like [`Self::read`], but from memory; `model` is used only in errors.
+    /// Like [`Self::read`], but reads from memory; `model` is used only in errors.
     pub fn new(model: &Path, bytes: &[u8], card: Card) -> Result<Self, ModelError> {
         let file = || model.to_owned();
         let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;
@@ -93,7 +93,7 @@ impl ModelFiles {
         Ok(files)
     }
 
-    /// Returns the blob of an int8 model. A float model has none.
+    /// Returns the blob of an int8 model. Float models have no blob.
     pub fn blob(&self) -> Result<Vec<u8>, String> {
         match &self.network {
             Network::Int8(layers) => build(&self.card, layers),
@@ -121,7 +121,7 @@ pub fn model_id(blob: &[u8]) -> String {
     format!("{:08x}", crc32(blob))
 }
 
-/// Returns the feature recipe with this name in a card.
+/// Returns the feature recipe that has this name in a card.
 pub fn recipe(name: &str) -> Option<FeatureKind> {
     match name {
         "raw" => Some(FeatureKind::Raw),
@@ -140,7 +140,7 @@ pub fn recipe_name(recipe: FeatureKind) -> &'static str {
     }
 }
 
-/// Builds the blob. The error describes any mismatch.
+/// Builds the blob. If something does not match, the error describes it.
 pub fn build(card: &Card, layers: &[DenseSpec]) -> Result<Vec<u8>, String> {
     let recipe = recipe(&card.features)
         .ok_or_else(|| format!("features {:?} are not known here; update this program", card.features))?;

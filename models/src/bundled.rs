@@ -1,6 +1,6 @@
 //! The model that is bundled with this project. It was trained on simulated wearers only.
 //! The paper's recordings of its seven gestures are not public.
-//! The card states this, and so must every place that shows the model.
+//! The card states that, and so must every place that shows the model.
 
 use std::path::Path;
 
@@ -11,10 +11,10 @@ use crate::card::Card;
 pub const TFLITE: &[u8] = include_bytes!("../bundled/right-aligned.tflite");
 /// `right-aligned.card.json`.
 pub const CARD: &[u8] = include_bytes!("../bundled/right-aligned.card.json");
-/// `right-aligned.float.tflite`, to teach it one more person.
+/// The file `right-aligned.float.tflite`, which `adapt` needs to add one more person.
 #[cfg(feature = "adapt")]
 pub const FLOAT: &[u8] = include_bytes!("../bundled/right-aligned.float.tflite");
-/// `right-aligned.memory.bin`, for the same.
+/// The file `right-aligned.memory.bin`, which `adapt` also needs.
 #[cfg(feature = "adapt")]
 pub const MEMORY: &[u8] = include_bytes!("../bundled/right-aligned.memory.bin");
 

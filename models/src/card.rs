@@ -17,15 +17,15 @@ pub const FORMAT: u32 = 1;
 pub struct Card {
     /// [`FORMAT`].
     pub format: u32,
-    /// The model's name, which is its file name without extension.
+    /// The model's name, which is its file name without the extension.
     pub name: String,
-    /// A description of the training data. It mentions simulated data.
+    /// A description of the training data. It says if the data is simulated.
     pub about: String,
     /// CRC-32 of the blob in hexadecimal, which is the id that a board reports.
     pub model_id: String,
     /// SHA-256 of the int8 file.
     pub tflite_sha256: String,
-    /// Names of the outputs in order.
+    /// Names of the outputs in the order of the network.
     pub labels: Vec<String>,
     /// Values per sample: 3, 6 or 9.
     pub axes: usize,
@@ -37,7 +37,7 @@ pub struct Card {
     pub hop: u16,
     /// The kind of features: `raw`, `log-power` or `aligned` (`shared_dsp::right::kind`).
     pub features: String,
-    /// The conversion of features to inputs of the network.
+    /// The conversion of features to the inputs of the network.
     pub scaling: Scaling,
     /// The training of the model.
     pub training: Training,
@@ -45,11 +45,11 @@ pub struct Card {
     pub data: Data,
     /// Results for the recordings that were not used in training. `data.test` lists them.
     pub test: Option<Scores>,
-    /// Results for the validation recordings, which are optimistic because they determined when training stopped.
+    /// Results for the validation recordings. They are optimistic, because these recordings determined when training stopped.
     pub validation: Option<Scores>,
 }
 
-/// Standardisation: input = (feature − mean) / deviation, limited to ±`limit`.
+/// Standardisation of features: input = (feature − mean) / deviation, limited to ±`limit`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scaling {
     /// One value per feature, axis by axis.
@@ -63,13 +63,13 @@ pub struct Scaling {
 /// The training of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Training {
-    /// Recipe: `aligned`, `log-power` (formerly `default`) or `paper`.
+    /// The training recipe: `aligned`, `log-power` (formerly `default`) or `paper`.
     pub recipe: String,
-    /// The seed of all random numbers.
+    /// The seed from which all random numbers were derived.
     pub seed: u64,
     /// Version of this tool.
     pub tool: String,
-    /// Number of epochs in the training.
+    /// Number of epochs that the training ran.
     pub epochs: usize,
     /// The epoch whose weights were kept.
     pub best_epoch: usize,
@@ -79,7 +79,7 @@ pub struct Training {
     pub learning_rate: f64,
     /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// A description of the variations applied to training recordings.
+    /// A description of how training recordings were varied.
     pub augmentation: String,
     /// Number of training windows, including varied ones.
     pub windows: usize,
@@ -88,21 +88,21 @@ pub struct Training {
 /// The training data of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Data {
-    /// SHA-256 over names and contents of the recordings used, without those held out for the test.
+    /// SHA-256 over names and contents of the recordings used. Recordings held out for the test are not included.
     pub sha256: String,
     /// Number of recordings used.
     pub recordings: usize,
     /// Their total length.
     pub minutes: f64,
-    /// Number of recordings shorter than a window, which were continued periodically.
+    /// Number of recordings shorter than a window, which were extended periodically.
     pub padded: usize,
     /// Number of recordings that were resampled to `rate_hz`.
     pub resampled: usize,
     /// Recordings per label.
     pub labels: BTreeMap<String, usize>,
-    /// Number of recordings per person, or only a total if there are many people.
+    /// Number of recordings of each person, or only a total if there are many people.
     pub people: BTreeMap<String, usize>,
-    /// People left out with --exclude-person.
+    /// People whom --exclude-person left out.
     pub excluded: Vec<String>,
     /// Names of the recordings held out for the test.
     pub test: Vec<String>,
@@ -122,7 +122,7 @@ pub struct Scores {
 pub struct Score {
     /// Correctly classified windows in per cent (stride 1 s).
     pub per_window: f64,
-    /// Correctly classified recordings in per cent, by the highest mean probability of their windows.
+    /// Correctly classified recordings in per cent. A recording's label has the highest mean probability of its windows.
     pub per_recording: f64,
     /// Confusion matrix of recordings: `confusion[true label][given label]`.
     pub confusion: Vec<Vec<usize>>,
@@ -130,7 +130,7 @@ pub struct Score {
     pub per_person: BTreeMap<String, f64>,
 }
 
-/// The reason why a card cannot be used, with a remedy in the text.
+/// The reason why a card cannot be used. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum CardError {
     /// The file cannot be read.
@@ -141,7 +141,7 @@ pub enum CardError {
         /// The system's error message.
         source: std::io::Error,
     },
-    /// The file is not the expected JSON.
+    /// The file does not contain the expected JSON.
     #[error("{file}: {what}; copy the card again or train the model again")]
     Format {
         /// The card's file.
@@ -162,7 +162,7 @@ impl Card {
 
     /// Returns for each label whether a recording can have it.
     /// `other` is impossible if the training data had no recordings of it.
-    /// The model then knows it only from simulated wearers, so that boards can reject movements.
+    /// The model then knows `other` only from simulated wearers, so that boards can reject movements.
     pub fn answers(&self) -> Vec<bool> {
         let known = &self.data.labels;
         let one = |label: &String| known.is_empty() || label != OTHER || known.contains_key(label);
@@ -183,7 +183,7 @@ impl Card {
         }
     }
 
-    /// Parses a card from JSON; `file` is used only in errors.
+    /// Parses the JSON text of a card; `file` is used only in errors.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, CardError> {
         let error = |what: String| CardError::Format { file: file.to_owned(), what };
         let card: Self = serde_json::from_slice(bytes).map_err(|e| error(e.to_string()))?;
@@ -194,7 +194,7 @@ impl Card {
         {
             return Err(error(format!("the label {:?} is there twice", card.labels[twice])));
         }
-        // An unknown recipe is refused later, by name.
+        // An unknown recipe is refused later, and the error names it.
         let inputs = crate::blob::recipe(&card.features)
             .map_or(card.scaling.mean.len(), |recipe| recipe.feature_count(card.axes));
         if !matches!(card.axes, 3 | 6 | 9)

@@ -5,12 +5,12 @@
 //! `models daily vectors` generates the file, and `daily/ABOUT.txt` contains the source and its licence.
 //! Without this training, a model easily mistakes getting up from a chair for a circle.
 //!
-//! The file starts with `BIMANDAY`, the number of people as u8, and their names, each after its length as u8.
+//! The file starts with `BIMANDAY` and the number of people as u8. Each name follows after its length as u8.
 //! Three tables follow: features without a gyroscope, features of the slow window ([`shared_dsp::right::slow`]),
 //! and features with a gyroscope.
-//! A table has its rows and columns as u32, and an offset and a unit as f32 for each column (little-endian).
-//! Each row has its person as u8, and a signed byte for each column.
-//! A feature is this byte times the unit, plus the offset.
+//! A table starts with its numbers of rows and columns as u32. For each column, it has an offset and a unit as f32 (little-endian).
+//! Each row has the number of its person as u8, and a signed byte for each column.
+//! The value of a feature is this byte times the unit, plus the offset.
 
 use std::sync::OnceLock;
 
@@ -19,7 +19,7 @@ use crate::recording::Recording;
 use crate::windows::{aligned_features, prepare, slowed};
 use crate::{HOP, WINDOW};
 
-/// The source of the vectors for a model's card, as their licence requires.
+/// The source of the vectors. Their licence requires it in a model's card.
 pub const SOURCE: &str = "features of daily movement without a gesture, as other, from: Dataset of inertial measurements of \
      smartphones and smartwatches for human activity recognition, M. Matey-Sanz, S. Casteleyn, C. Granell, Data in Brief \
      2023, 109809, doi 10.5281/zenodo.8398688, CC BY 4.0 (changed: smartwatches of 12 people, features only)";
@@ -27,7 +27,7 @@ pub const SOURCE: &str = "features of daily movement without a gesture, as other
 /// The vectors that are bundled with this crate.
 const BYTES: &[u8] = include_bytes!("../daily/watch-daily.bin");
 const MAGIC: &[u8; 8] = b"BIMANDAY";
-/// Number of samples between two windows, and between two slow windows.
+/// Number of samples between the starts of two windows, and of two slow windows.
 const STRIDE: usize = 6 * HOP;
 const SLOW_STRIDE: usize = 12 * HOP;
 
@@ -39,13 +39,13 @@ pub enum Daily {
     /// Everybody's.
     #[default]
     All,
-    /// All people except these, on whom the model will be tested.
+    /// Selects all people except these, on whom the model will be tested.
     Without(Vec<String>),
 }
 
 impl Daily {
     /// Returns the feature vectors for samples of this many axes, one per window.
-    /// Without a gyroscope, the slow windows are included.
+    /// If there is no gyroscope, the slow windows are included.
     pub fn rows(&self, axes: usize) -> Vec<Vec<f32>> {
         let knows = |name: &String| match self {
             Self::None => false,
@@ -60,7 +60,7 @@ impl Daily {
     }
 }
 
-/// Returns the people whose movement is bundled with this crate.
+/// Returns the names of the people whose movement is bundled with this crate.
 pub fn people() -> &'static [String] {
     &bundled().people
 }
@@ -177,7 +177,7 @@ impl Vectors {
     }
 }
 
-/// Returns a file of vectors, computed from recordings with a gyroscope of people who make no gesture.
+/// Returns a file of vectors. They are computed from recordings with a gyroscope of people who make no gesture.
 pub fn vectors(recordings: &Dataset) -> Vec<u8> {
     let people = recordings.people();
     let windows = |recording: &Recording, stride: usize| -> Vec<Vec<f32>> {

@@ -2,8 +2,8 @@
 //!
 //! Every CSV file in every label folder is read.
 //! `index.csv`, other files at the top level (licences) and hidden files are ignored and listed in `ignored`.
-//! Folders with 3, 6 and 9 axes are read with the axes common to all recordings.
-//! This works because the axes are nested: accelerometer, gyroscope, magnetometer.
+//! If a folder has recordings with 3, 6 and 9 axes, the reader uses the axes common to all recordings.
+//! This works because the sets of axes are nested: accelerometer, gyroscope, magnetometer.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,18 +12,18 @@ use crate::labels;
 use crate::recording::{Recording, RecordingError};
 use crate::sheet::Reading;
 
-/// A recording with the information from its path.
+/// A recording, with the information that its path contains.
 #[derive(Clone, Debug)]
 pub struct Item {
     /// The file as found.
     pub file: PathBuf,
-    /// Path `<label folder>/<file name>` as on disk, with `/` on every system.
+    /// Path `<label folder>/<file name>` as on disk, but with `/` on every system.
     pub name: String,
-    /// Canonical label, derived from the folder.
+    /// The standard name of the label, derived from the folder.
     pub label: String,
     /// The person, which is the part of the file name before `__`.
     pub person: String,
-    /// The recording from the file, with the data set's axes.
+    /// The recording from the file, reduced to the data set's axes.
     pub recording: Recording,
 }
 
@@ -36,15 +36,15 @@ pub struct Dataset {
     pub items: Vec<Item>,
     /// Labels in the order of a network's outputs ([`labels::sort`]).
     pub labels: Vec<String>,
-    /// Axes of every recording: 3, 6 or 9.
+    /// Number of axes of every recording: 3, 6 or 9.
     pub axes: usize,
-    /// Files that are not recordings and were ignored.
+    /// Files that were ignored because they are not recordings.
     pub ignored: Vec<PathBuf>,
     /// Number of recordings that had more axes than the data set.
     pub narrowed: usize,
 }
 
-/// The reason why a folder cannot be used, with a remedy in the text.
+/// The reason why a folder cannot be used. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// The folder cannot be listed.
@@ -134,7 +134,7 @@ impl Dataset {
                 if !wanted(&labels::canonical(&folder_name), person) {
                     continue;
                 }
-                // One recording may contain little rotation, but if this holds for most of a person, the unit is wrong.
+                // A single recording may contain little rotation, but if this is true of most of a person's recordings, the unit is wrong.
                 let recording = match Recording::read(&file) {
                     Err(error) => match Recording::read_as(&file, &in_degrees) {
                         Ok(recording) => {

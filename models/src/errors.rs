@@ -1,6 +1,6 @@
 //! Errors for people.
 
-/// Formats an error with its causes, each of them once, because many errors already mention their cause.
+/// Formats an error with its causes. It prints each cause only once, because many errors already mention theirs.
 ///
 /// ```
 /// let error = models::recording::Recording::read("no/such.csv".as_ref()).unwrap_err();

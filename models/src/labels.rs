@@ -1,10 +1,10 @@
-//! The canonical names of gestures, and common aliases.
+//! The standard names of gestures, and common aliases.
 
-/// The paper's seven labels in the order of its network's outputs.
+/// The paper's seven labels, in the order of its network's outputs.
 pub const PAPER: [&str; 7] =
     ["idle", "up-down", "to-fro", "left-right", "rectangle", "rectangle-flat", "circle"];
 
-/// Aliases, in the form that [`squash`] returns, with their canonical names.
+/// Aliases in the form that [`squash`] returns, with their standard names.
 const ALIASES: [(&str, &str); 26] = [
     ("idle", "idle"),
     ("still", "idle"),
@@ -34,7 +34,7 @@ const ALIASES: [(&str, &str); 26] = [
     ("round", "circle"),
 ];
 
-/// Names of movement without a gesture. A model learns it as [`OTHER`], which has no effect.
+/// Names for movement without a gesture. A model learns such movement as [`OTHER`], which has no effect.
 const NO_GESTURE: [&str; 6] = ["noise", "unknown", "background", "none", "negative", "other"];
 
 /// The label of all movement without a gesture.
@@ -51,7 +51,7 @@ pub fn is_no_gesture(name: &str) -> bool {
     squashed != OTHER && NO_GESTURE.contains(&squashed.as_str())
 }
 
-/// Returns the canonical names of a list of labels, each once.
+/// Returns the standard names of a list of labels, each name once.
 ///
 /// # Errors
 /// Fails if two labels have the same meaning. The error names both.
@@ -68,16 +68,16 @@ pub fn canonical_list(names: &[String]) -> Result<Vec<String>, String> {
     Ok(labels)
 }
 
-/// Returns lower case without separators, so that `Left_Right`, `left-right` and `leftright` are equal.
+/// Returns the name in lower case without separators, so that `Left_Right`, `left-right` and `leftright` are equal.
 fn squash(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// Returns the canonical name of a label.
+/// Returns the standard name of a label.
 ///
-/// Aliases of the paper's labels become the paper's names.
+/// Aliases of the paper's labels are replaced with the paper's names.
 /// Any other name is converted to lower case, with hyphens instead of spaces and underscores.
-/// Names for movement without a gesture ([`is_no_gesture`]) become [`OTHER`].
+/// Names for movement without a gesture ([`is_no_gesture`]) are replaced with [`OTHER`].
 ///
 /// ```
 /// assert_eq!(models::labels::canonical("LeftRight"), "left-right");
@@ -135,7 +135,7 @@ pub fn mirrored(labels: &[String]) -> Vec<(&str, &str)> {
     pairs
 }
 
-/// Sorts labels in the order of a network's outputs: first the paper's labels in its order, then the rest by name.
+/// Sorts labels in the order of a network's outputs: first the paper's labels in its order, then all others by name.
 pub fn sort(labels: &mut [String]) {
     labels.sort_by_key(|label| {
         let place = PAPER.iter().position(|paper| paper == label).unwrap_or(PAPER.len());
@@ -190,7 +190,7 @@ mod tests {
             ("clockwise,Counter Clockwise", vec![("clockwise", "counter-clockwise")]),
             ("swipe_up,swipe_down,swipe_left", vec![("swipe-up", "swipe-down")]),
             ("push,pull,wave", vec![("push", "pull")]),
-            // The paper's labels do not count, because each of them goes in both directions.
+            // The paper's labels are not mirror images of each other, because each of their movements goes in both directions.
             ("idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle,other", vec![]),
         ] {
             assert_eq!(mirrored(&names(list)), pairs, "{list}");

@@ -1,13 +1,13 @@
-//! Recordings, training, quantisation, TFLite files and model cards.
+//! Handles recordings, training, quantisation, TFLite files and model cards.
 //!
 //! Without the feature `train`, this crate is small.
-//! It then reads recordings, simulates wearers, and converts a `.tflite` file with its card to the blob for boards
+//! It then reads recordings, simulates wearers, and converts a `.tflite` file and its card to the blob for boards
 //! and bridge.
 //! With `train` (the default, used by the program `models`), it also trains networks.
 //!
-//! Glossary: a *recording* is one file with samples of one person making one gesture.
-//! A *window* is [`WINDOW`] samples at [`RATE_HZ`]. A *label* is a gesture's canonical name.
-//! A *card* is a JSON file beside a model that describes it.
+//! Glossary: a *recording* is one file, with samples of one person who makes one gesture.
+//! A *window* is [`WINDOW`] samples at [`RATE_HZ`]. A *label* is the standard name of a gesture.
+//! A *card* is a JSON file beside a model, which describes the model.
 
 pub mod adc;
 pub mod blob;
@@ -33,16 +33,16 @@ pub mod tflite;
 pub mod train;
 pub mod windows;
 
-/// Sampling rate of features and network in Hz.
+/// Sampling rate of features and network, in Hz.
 pub const RATE_HZ: f64 = 100.0;
 /// Number of samples in a window of features (2 s at [`RATE_HZ`]).
 pub const WINDOW: usize = 200;
-/// Number of samples between two windows on the board (80 ms).
+/// Number of samples between the starts of two windows on the board (80 ms).
 pub const HOP: usize = 8;
 
 /// Number of networks that recipe `aligned` trains from different starts and merges into one.
 pub const ALIGNED_MEMBERS: usize = 4;
-/// Widths of the hidden layers of each of these networks.
+/// Widths of the hidden layers of each of these merged networks.
 pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [20, 10];
 /// Widths of the hidden layers of the merged network. A test measures its cost on boards.
 pub const ALIGNED_HIDDEN: [usize; 2] =

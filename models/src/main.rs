@@ -50,11 +50,11 @@ fn main() -> ExitCode {
 
 fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    // With `None`, rayon chooses the number.
+    // With `None`, rayon chooses the number of threads.
     rayon::ThreadPoolBuilder::new().num_threads(cli.threads.unwrap_or(0)).build_global()?;
     // Without this variable, candle counts the processors for every matrix product,
     // which takes a fifth of the training time.
-    // The products here are too small for several threads.
+    // The matrix products of this program are too small for several threads.
     // SAFETY: no thread that reads the environment is running yet.
     unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
     match cli.verb {

@@ -1,4 +1,4 @@
-//! A recording of the right hand: reading, checking, resampling and writing its CSV file.
+//! A recording of the right hand. This file reads, checks and resamples it, and writes its CSV file.
 //!
 //! The output format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ` (m/s²).
 //! Optional columns are `gyrX,gyrY,gyrZ` (deg/s) and `magX,magY,magZ` (µT); times are in ms.
@@ -22,13 +22,13 @@ pub const MIN_RATE_HZ: f64 = 25.0;
 /// Maximum sampling rate in Hz.
 pub const MAX_RATE_HZ: f64 = 500.0;
 
-/// Maximum length of a recording, because it is resampled to the models' rate including its pauses.
+/// Maximum length of a recording, because its pauses are also resampled to the models' rate.
 const LONGEST_H: f64 = 24.0;
 
 /// A rate that differs by at most this fraction counts as equal, and its samples are used unchanged.
 pub(crate) const SAME_RATE: f64 = 0.01;
 
-/// Samples of 3, 6 or 9 axes with their times.
+/// Samples of 3, 6 or 9 axes, and their times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recording {
     axes: usize,
@@ -41,7 +41,7 @@ impl Recording {
     /// Creates a recording from its parts: `values` contains `axes` values for each entry of `time_ms`.
     ///
     /// # Panics
-    /// Panics if `axes` is not 3, 6 or 9, or the lengths do not match, because these are constants of the caller.
+    /// Panics if `axes` is not 3, 6 or 9, or if the lengths do not match. Callers use constants for both.
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
@@ -64,7 +64,7 @@ impl Recording {
     }
 
     /// Parses the bytes of a CSV file; `file` is used only in errors.
-    /// Undeclared units must be ours; otherwise, the file is refused.
+    /// Undeclared units must be ours; if they differ, the file is refused.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
         Self::parse_as(file, bytes, &Reading::default())
     }
@@ -72,7 +72,7 @@ impl Recording {
     /// Like [`Self::parse`], with the rules of [`Reading`].
     ///
     /// # Errors
-    /// [`RecordingError`], also if the file contains several recordings.
+    /// [`RecordingError`]. It is also an error if the file contains several recordings.
     pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {
@@ -103,17 +103,17 @@ impl Recording {
         self.time_ms.len()
     }
 
-    /// Whether there are no samples, which is never the case for a recording from a file.
+    /// Whether there are no samples. A recording from a file always has some.
     pub fn is_empty(&self) -> bool {
         self.time_ms.is_empty()
     }
 
-    /// Time of each sample in ms.
+    /// Time of each sample in milliseconds.
     pub fn time_ms(&self) -> &[f64] {
         &self.time_ms
     }
 
-    /// The samples in order, with `axes()` values each: m/s², deg/s, µT.
+    /// The samples in order. Each has `axes()` values in m/s², deg/s and µT.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = &[f32]> {
         self.values.chunks_exact(self.axes)
     }
@@ -126,25 +126,25 @@ impl Recording {
         }
     }
 
-    /// Length in seconds, where every sample counts for one interval.
+    /// Length in seconds; every sample counts for one interval.
     pub fn seconds(&self) -> f64 {
         let rate_hz = self.rate_hz();
         if rate_hz > 0.0 { self.len() as f64 / rate_hz } else { 0.0 }
     }
 
-    /// Number of intervals longer than 2.5 mean intervals, where samples were lost.
+    /// Number of gaps, which are intervals longer than 2.5 mean intervals.
     pub fn gaps(&self) -> usize {
         let limit_ms = 2.5 * 1000.0 / self.rate_hz();
         self.time_ms.windows(2).filter(|pair| pair[1] - pair[0] > limit_ms).count()
     }
 
-    /// Pauses longer than `limit_ms`: the index of the sample before each, and its duration.
+    /// Pauses longer than `limit_ms`: the index of the sample before each pause, and the duration of the pause.
     pub fn holes(&self, limit_ms: f64) -> Vec<(usize, f64)> {
         let steps = self.time_ms.windows(2).map(|pair| pair[1] - pair[0]).enumerate();
         steps.filter(|(_, step)| *step > limit_ms).collect()
     }
 
-    /// Returns the first `axes` axes only.
+    /// Returns the recording with only its first `axes` axes.
     ///
     /// # Panics
     /// Panics if the recording has fewer axes, or `axes` is not 3, 6 or 9.
@@ -154,7 +154,7 @@ impl Recording {
         Self::new(axes, self.time_ms.clone(), values)
     }
 
-    /// Returns `len` samples from `start` on, or as many as exist.
+    /// Returns `len` samples from index `start` on, or as many as exist.
     pub fn slice(&self, start: usize, len: usize) -> Self {
         let start = start.min(self.len());
         let end = (start + len).min(self.len());
@@ -198,7 +198,7 @@ impl Recording {
         Self::new(self.axes, time_ms, values)
     }
 
-    /// Replaces each sample by the mean of the samples within half of `span_ms`.
+    /// Replaces each sample with the mean of the samples within half of `span_ms`.
     fn averaged_over(&self, span_ms: f64) -> Vec<f32> {
         let mut values = Vec::with_capacity(self.values.len());
         let (mut from, mut to) = (0, 0);
@@ -218,7 +218,7 @@ impl Recording {
     }
 
     /// Returns the CSV text with the header `timestamp_ms,…`.
-    /// Accelerations have 4 decimals and other values 2, as in recordings of real boards.
+    /// Accelerations have 4 decimals and all other values have 2, as in recordings of real boards.
     pub fn to_csv(&self) -> String {
         let mut text = String::with_capacity(self.len() * self.axes * 9);
         text.push_str("timestamp_ms");

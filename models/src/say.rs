@@ -1,6 +1,6 @@
-//! Output of the programs: like `std`'s macros, but without a panic if the reader disappears.
+//! Prints the output of the programs. The macros work like those of `std`, but do not panic if the reader disappears.
 //!
-//! After `… | head`, a closed terminal or a full disk, a command still completes its work.
+//! After `… | head`, a closed terminal or a full disk, a command still finishes its work.
 //! Both programs use `#[macro_use] extern crate models;` and then the normal `println!`.
 
 use std::fmt::Arguments;
@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 static LOST: AtomicBool = AtomicBool::new(false);
 
-/// Prints to the standard output on behalf of the macros.
+/// Prints to standard output for the macros.
 pub fn out(text: Arguments<'_>) {
     let mut out = std::io::stdout().lock();
     if let Err(error) = out.write_fmt(text).and_then(|()| out.flush())
@@ -21,24 +21,24 @@ pub fn out(text: Arguments<'_>) {
     }
 }
 
-/// Prints to the standard error on behalf of the macros.
+/// Prints to standard error for the macros.
 pub fn err(text: Arguments<'_>) {
-    // There is no reader left to notify.
+    // Nobody reads the output any more, so nobody can be notified.
     let _ = std::io::stderr().lock().write_fmt(text);
 }
 
-/// Returns whether output was lost for a reason other than a closed pipe, so that the command has failed.
+/// Returns whether output was lost for another reason than a closed pipe, which means that the command has failed.
 pub fn lost() -> bool {
     LOST.load(Ordering::SeqCst)
 }
 
-/// Like `std::print`, but failures are recorded, see [`lost`].
+/// Like `std::print`, but failures are recorded (see [`lost`]).
 #[macro_export]
 macro_rules! print {
     ($($part:tt)*) => { $crate::say::out(::core::format_args!($($part)*)) };
 }
 
-/// Like `std::println`, but failures are recorded, see [`lost`].
+/// Like `std::println`, but failures are recorded (see [`lost`]).
 #[macro_export]
 macro_rules! println {
     () => { $crate::say::out(::core::format_args!("\n")) };

@@ -1,43 +1,43 @@
-//! Streams of random numbers. Each use of a seed has its own stream, independent of all others.
+//! Streams of random numbers. Each use of a seed has its own stream, which is independent of all others.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// The uses of random numbers.
-/// Their numbers are part of a training's reproducibility, so a new use needs a new number,
+/// The purposes for which random numbers are used.
+/// Their numbers make a training reproducible, so a new purpose needs a new number,
 /// and existing numbers never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RandomStream {
-    /// Initial weights and the order of windows, in recipes that train in epochs.
+    /// Initial weights and the order of windows, for recipes that train in epochs.
     Epochs,
-    /// Varied windows of the recording with this index in a data set.
+    /// Variation of the windows of the recording that has this index in a data set.
     Recording(usize),
-    /// A varied copy of the recording with this index in a data set.
+    /// A varied copy of the recording that has this index in a data set.
     Copy {
         /// Its place.
         recording: usize,
         /// Which copy, below 1000.
         copy: usize,
     },
-    /// The held-out recordings of the label with this index.
+    /// Selection of held-out recordings for the label with this index.
     HeldOut(usize),
-    /// One of the networks that are trained in steps and merged.
+    /// Training of one of the networks that are trained in steps and merged.
     Member(usize),
-    /// The later training steps, which use int8 rounding.
+    /// The last training steps, which simulate int8 rounding.
     Rounding,
-    /// The memory of a model about its training people.
+    /// Selection of the rows that a model remembers about its training people.
     Memory,
-    /// The adaptation to another person.
+    /// Training steps of the adaptation to another person.
     Adapting,
-    /// The recordings of a held-out person that are shown.
+    /// Selection of the recordings that a held-out person shows.
     Shown,
     /// The order of joined recordings, and the rest between them.
     Order,
-    /// The movements of this simulated wearer without gestures.
+    /// The movements of this simulated wearer, who makes no gestures.
     Aimless(u32),
     /// The three recordings of each gesture that a person shows (`models daily`).
     ShownDaily,
-    /// Varied windows of a simulated wearer, whose number is the seed.
+    /// Varied windows of a simulated wearer. The seed is the wearer's number.
     OfWearer,
 }
 
@@ -55,12 +55,12 @@ impl RandomStream {
             Self::Shown => 1 << 44,
             Self::Order => 1 << 45,
             Self::Aimless(index) => (1 << 46) + index as u64,
-            // The same number as `Epochs`, which is used in other commands or with other seeds.
+            // This number equals that of `Epochs`, which is used in other commands or with other seeds.
             Self::ShownDaily | Self::OfWearer => 0,
         }
     }
 
-    /// Returns the stream's numbers for a seed, from the start.
+    /// Returns the numbers of this stream for a seed, from the start.
     pub fn of(self, seed: u64) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(self.number());

@@ -1,4 +1,4 @@
-//! Computes the features of a recording's windows, with the code that boards run.
+//! Computes the features of a recording's windows, with the same code that boards run.
 
 use shared_dsp::right::aligned::AlignedWindow;
 use shared_dsp::right::features::FeatureWindow;
@@ -18,7 +18,7 @@ pub struct Prepared {
 
 /// Returns a recording at the models' rate that is at least one window long.
 ///
-/// A shorter one is continued periodically until the window is full, with the period that best matches its end.
+/// A shorter one is extended periodically until the window is full, with the period that best matches its end.
 /// (If it were mirrored in time, a circle would change its direction.)
 pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     let at_rate = recording.resampled();
@@ -30,12 +30,12 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
 
 /// Minimum period of a movement in samples: 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
-/// Minimum and maximum number of samples for comparing the end with the previous period.
+/// Minimum and maximum number of samples of the end that are compared with the previous period.
 const COMPARED: (usize, usize) = (12, 50);
-/// Number of samples over which a jump at the seam fades.
+/// Number of samples over which the jump at the seam fades.
 const SEAM: usize = 10;
 
-/// Continues the recording periodically until a window is full.
+/// Extends the recording periodically until a window is full.
 fn continued(recording: &Recording) -> Recording {
     let axes = recording.axes();
     let mut rows: Vec<Vec<f32>> = recording.samples().map(<[f32]>::to_vec).collect();
@@ -57,8 +57,8 @@ fn continued(recording: &Recording) -> Recording {
     Recording::new(axes, time_ms, rows.concat())
 }
 
-/// Returns the period in samples with which the end of a short movement best matches its past,
-/// or `None` if it is too short.
+/// Returns the period in samples with which the end of a short movement best matches its past, or `None` if the
+/// movement is too short.
 pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
     let rows: Vec<&[f32]> = rows.iter().map(AsRef::as_ref).collect();
     let axes = rows.first()?.len().min(6);
@@ -67,7 +67,7 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
         .map(|axis| {
             let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
             let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
-            // Acceleration and rotation get equal weight as a whole, because small directions are mostly noise.
+            // Acceleration and rotation each get equal weight in total, because axes with little movement are mostly noise.
             variance
         })
         .collect();
@@ -90,7 +90,7 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
 }
 
 /// Returns the features of every window that starts at a multiple of `stride_hops` hops.
-/// They are those of `recipe`: 13 per axis, axis by axis, or those of recipe 3.
+/// Recipes 1 and 2 have 13 features per axis, axis by axis. Recipe 3 has its own features.
 pub fn features(recording: &Recording, recipe: FeatureKind, stride_hops: usize) -> Vec<Vec<f32>> {
     match recording.axes() {
         3 => stream::<3>(recording, recipe, stride_hops),
@@ -115,18 +115,18 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
     }
 }
 
-/// Samples from one window that is learnt to the next: 1 s.
+/// Number of samples between the starts of two training windows: 1 s.
 #[cfg(feature = "adapt")]
 const LEARNT_STRIDE: usize = crate::RATE_HZ as usize;
 
-/// The windows of a prepared recording that recipe `aligned` learns, each sample after sample.
+/// The windows of a prepared recording that recipe `aligned` learns. The samples of a window follow each other.
 #[cfg(feature = "adapt")]
 pub(crate) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
     let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(LEARNT_STRIDE);
     starts.map(|start| ready.slice(start, WINDOW).samples().flatten().copied().collect()).collect()
 }
 
-/// A recording as the slow window ([`shared_dsp::right::slow`]) sees it: every two samples averaged.
+/// A recording as the slow window ([`shared_dsp::right::slow`]) receives it: pairs of samples are averaged.
 pub fn slowed(recording: &Recording) -> Recording {
     let rows: Vec<&[f32]> = recording.samples().collect();
     let halves = rows.as_chunks::<2>().0.iter();
@@ -172,9 +172,9 @@ fn every<W, const A: usize>(
     all
 }
 
-/// Returns the features of windows that start every `stride` samples, independent of the hop.
+/// Returns the features of windows that start every `stride` samples, independent of the board's hops.
 ///
-/// Each window is fed separately, because its start is generally not at one of the board's hops.
+/// Each window is fed separately, because its start generally does not coincide with a hop.
 pub fn features_every(recording: &Recording, recipe: FeatureKind, stride: usize) -> Vec<Vec<f32>> {
     if stride.is_multiple_of(HOP) {
         return features(recording, recipe, stride / HOP);
@@ -194,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_short_recording_goes_on_as_it_did_until_the_window_is_full() {
-        // A circle of 1.6 Hz, of which 1.1 s are recorded.
+        // A circle of 1.6 Hz, of which 1.1 s were recorded.
         let circle = |n: usize| {
             let angle = std::f32::consts::TAU * 1.6 * n as f32 / 100.0;
             [3.0 * angle.cos(), 3.0 * angle.sin(), 9.8]

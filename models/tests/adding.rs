@@ -1,4 +1,4 @@
-//! Tests the instructions of docs/ADDING.md for recipes: a type that implements `Recipe` is trained like the others.
+//! Tests the instructions of docs/ADDING.md for recipes: any type that implements `Recipe` can be trained.
 
 mod common;
 
@@ -12,7 +12,7 @@ use models::train::{
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::Model;
 
-/// A custom recipe in forty lines: the paper's windows with the same scale for all channels.
+/// A custom recipe in forty lines, which uses the paper's windows with the same scale for all channels.
 #[derive(Debug)]
 struct Plain;
 

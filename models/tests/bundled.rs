@@ -47,7 +47,7 @@ fn the_card_says_that_the_wearers_are_simulated_and_none_is_a_demo_wearer() {
     assert!(!card.data.people.contains_key(&demo));
 }
 
-/// Recordings of 20 wearers that no model was trained on, with each gesture and each type of other movement.
+/// Recordings of 20 wearers on whom no model was trained, with each gesture and each type of other movement.
 /// Incomplete gestures are tested separately, with the decision (`sessions.rs`).
 fn recordings(untaught: bool) -> Dataset {
     let mut items = Vec::new();
@@ -76,7 +76,7 @@ fn wearers_that_it_never_met_are_understood() {
     let made = files.blob().unwrap();
     let network = Classifier::Int8(Model::parse(&made).unwrap());
     let is_rest: Vec<bool> = card.labels.iter().map(|label| is_rest(label)).collect();
-    // These are only lower limits. The README contains the measured values.
+    // These figures are only lower limits. The README contains the measured values.
     for (untaught, floor) in [(false, 97.0), (true, 94.0)] {
         let recordings = scored(&recordings(untaught), &card.labels, &card.features);
         // The scores are computed as on a board, where all labels compete and every other movement counts as rest.

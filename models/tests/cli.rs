@@ -1,4 +1,4 @@
-//! Tests the command-line tool `models`: files, exit codes and final output lines.
+//! Tests the command-line program `models`: its files, exit codes and final output lines.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ fn bad(args: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
-/// Returns all files below a folder with their contents.
+/// Returns all files below a folder, with their contents.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -16,7 +16,7 @@ mod mutate;
 
 use mutate::{count, fuzz};
 
-/// A swinging hand with gravity. `row` writes a sample (time in s, acceleration in m/s², turn rate in deg/s).
+/// A swinging hand with gravity. `row` writes each sample (time in s, acceleration in m/s², turn rate in deg/s).
 fn swing(rows: usize, row: impl Fn(usize, f64, [f64; 3], [f64; 3]) -> String) -> String {
     let one = |n: usize| {
         let t = n as f64 / 100.0;
@@ -91,7 +91,7 @@ fn csv() -> Vec<Vec<u8>> {
             }),
     ];
     let mut files: Vec<Vec<u8>> = files.into_iter().map(String::into_bytes).collect();
-    // Text in the encoding and with the line ends of other systems.
+    // Text in the encodings and with the line ends of other systems.
     files.push(String::from_utf8_lossy(&files[0]).encode_utf16().flat_map(u16::to_le_bytes).collect());
     files.last_mut().expect("just pushed").splice(0..0, [0xff, 0xfe]);
     files
@@ -107,7 +107,7 @@ fn damaged_csv_files_of_any_format_are_read_or_refused() {
         let told = sheet::parse(Path::new("a.csv"), bytes, &counts).is_ok();
         if let Ok(sheet) = &read {
             for take in &sheet.takes {
-                // An accepted recording must contain only usable values.
+                // An accepted recording must contain only values that can be used.
                 assert!(take.samples().all(|sample| sample.iter().all(|value| value.is_finite())));
                 let _ = (take.gaps(), take.holes(1000.0), take.to_csv());
                 if take.seconds() < 1e4 {
@@ -142,7 +142,7 @@ fn damaged_folders_of_one_file_per_sensor_are_read_or_refused() {
     });
 }
 
-/// A file in the data acquisition format with this number of samples.
+/// A file in the data acquisition format that has this number of samples.
 fn acquired(rows: usize, units: &str) -> serde_json::Value {
     let values: Vec<[f64; 6]> = (0..rows)
         .map(|n| {
@@ -191,7 +191,7 @@ fn damaged_networks_of_tensorflow_are_read_or_refused() {
     let seeds: Vec<_> = names.iter().map(|name| fixture(&format!("{name}.tflite"))).collect();
     fuzz("tflite", &seeds, count(2000), |bytes| match tflite::read_to_end(bytes) {
         Ok((network, _)) => {
-            // An accepted network can be written and read again.
+            // An accepted network must survive writing and reading.
             assert!(tflite::read(&tflite::write(&network)).is_ok());
             true
         }

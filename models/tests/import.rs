@@ -19,7 +19,7 @@ fn export(axis: usize, interval_ms: f64) -> Value {
     export_of(axis, interval_ms, 0)
 }
 
-/// Returns the same movement with another number of samples before its start.
+/// Returns the same movement, but with another number of samples before its start.
 fn export_of(axis: usize, interval_ms: f64, late: usize) -> Value {
     let names = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ"];
     let sensors: Vec<Value> = names
@@ -74,7 +74,7 @@ fn an_unpacked_export_of_json_and_cbor_becomes_recordings_that_train_and_score()
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("recordings")]);
     assert!(ok && text.contains("2 recordings are there already"), "{text}");
     assert!(!folder.path().join("recordings/wave").exists());
-    // Numbering continues with the next part of the export.
+    // The numbering of recordings continues with the next part of the export.
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("others")]);
     assert!(ok && text.contains("wave: 1 recordings of d0-bf-9c"), "{text}");
     let (ok, text) = models(&[
@@ -133,7 +133,7 @@ fn an_export_is_cut_at_its_labels_and_what_nobody_labelled_is_named() {
     assert_eq!((length("out/idle/me__1.csv"), length("out/wave/me__1.csv")), (80, 120));
 }
 
-/// Returns rows of a waving hand: a time in ms, then values in m/s², deg/s and µT.
+/// Returns rows of a waving hand, each with a time in ms and values in m/s², deg/s and µT.
 fn rows(count: usize, row: impl Fn(f64, [f64; 9]) -> String) -> String {
     let one = |n: usize| {
         let s = (n as f64 * 0.09).sin();

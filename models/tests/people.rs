@@ -36,7 +36,7 @@ fn spoil(folder: &Path, person: &str) {
 #[test]
 fn no_file_of_a_person_held_out_touches_the_model_whatever_the_recipe() {
     // Recipes are constants that do not depend on data.
-    // All results of the data are in the model: input scaling, early stopping, weights, quantisation and the data for
+    // All effects of the data are in the model: input scaling, early stopping, weights, quantisation and the data for
     // adaptation.
     let short = |recipe: PerAxis| PerAxis { epochs: Epochs { most: 6, ..recipe.epochs }, ..recipe };
     let (aligned, log_power, paper) = (recipe(), short(LOG_POWER), short(PAPER));

@@ -118,7 +118,7 @@ fn rates_outside_25_to_500_hz_are_refused_and_inside_accepted() {
     for interval in [2.0, 8.403, 10.0, 40.0] {
         assert!(at(interval).is_ok(), "{interval}");
     }
-    // The times are in seconds, which the reader detects from the rate and reports in a note.
+    // The times are in seconds. The reader infers this from the rate and reports it in a note.
     let seconds = at(0.01).unwrap();
     assert!((seconds.rate_hz() - 100.0).abs() < 1e-6);
     assert_eq!(seconds.notes(), ["times (timestamp) are in s, by the rate"]);
@@ -173,8 +173,8 @@ fn any_rate_becomes_100_hz_with_the_same_motion() {
 
 #[test]
 fn what_is_too_fast_for_100_hz_does_not_fold_back() {
-    // If resampling only picked samples, 99 Hz at a rate of 500 Hz would become a slow 1 Hz swing of full amplitude.
-    // The first and last samples are excluded, because they have neighbours on one side only.
+    // If resampling only picked samples, 99 Hz at a rate of 500 Hz would look like a slow 1 Hz swing of full amplitude.
+    // The first and last samples are excluded, because they have neighbours on only one side.
     let resampled = sine(500.0, 4.0, 99.0).resampled();
     let largest =
         resampled.samples().skip(1).take(resampled.len() - 2).map(|s| s[0].abs()).fold(0.0, f32::max);

@@ -40,7 +40,7 @@ fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands()
         assert!(opened >= least, "{opened} {tag}");
     }
     assert!(page.contains("<h2>Recordings to look at</h2>"));
-    // Pictures first: people one by one, the worst first, and events against false events.
+    // The pictures come first: each person's results, the worst first, and correct events against false events.
     let before_tables = &page[..page.find("<table").unwrap()];
     assert_eq!(before_tables.matches("<svg").count(), 2);
     assert!(before_tables.contains("worst first") && before_tables.contains("strokes/s"), "{before_tables}");

@@ -1,4 +1,4 @@
-//! Tests the bundled model and the board's decision, sample by sample, on complete sessions of new simulated wearers.
+//! Tests the bundled model and the board's decision on complete sessions of new simulated wearers, sample by sample.
 
 use std::path::PathBuf;
 
@@ -15,10 +15,10 @@ struct Tally {
     delays_s: Vec<f64>,
 }
 
-/// Rest before and after each movement between two gestures, in s. A movement ends when the hand rests.
+/// Duration of the rest before and after each movement between two gestures, in s. A movement ends when the hand rests.
 const REST_S: f64 = 1.0;
 
-/// Plays the six gestures, 5 s each, separated by 5 s of various idle movement and two rests.
+/// Plays the six gestures for 5 s each. Between them are 5 s of various idle movement and two rests.
 fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     let mut script = vec![Segment::new(Motion::IDLE, 5.0)];
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
@@ -37,7 +37,7 @@ fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     let mut during = 0;
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
         let onset_s = 5.0 + 12.0 * n as f64;
-        // A gesture that has just ended still occupies part of the window.
+        // A gesture that has just ended is still in a part of the window.
         let of_this: Vec<_> =
             events.iter().filter(|(at_s, _)| (onset_s..onset_s + 6.0).contains(at_s)).collect();
         during += of_this.len();
@@ -75,7 +75,7 @@ fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
-/// Plays wearers and compares the result with a lower limit. The README contains the measured value, which is higher.
+/// Plays wearers and compares the result with a lower limit. The README contains the measured value, which exceeds the limit.
 fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();
@@ -115,7 +115,6 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
     // Simulated wearers handle objects all the time; real daily movement causes no events (`models daily events`).
-    // The limit is twice the former one, from the time when a third
-    // of the real circles were not recognised (see README).
+    // The limit is twice the previous one, at which a third of the real circles were not recognised (see README).
     assert!(events <= 24, "{events}");
 }

@@ -1,4 +1,4 @@
-//! Tests TFLite files written by this project, by TensorFlow, and with damage.
+//! Tests TFLite files that this project or TensorFlow wrote, and damaged files.
 
 use std::path::PathBuf;
 
@@ -72,7 +72,7 @@ fn fixture(name: &str) -> Vec<u8> {
     std::fs::read(folder.join(name)).unwrap()
 }
 
-/// Computes the inputs of TFLite's interpreter with the same formula as the script.
+/// Computes the same inputs as TFLite's interpreter received, with the formula of the script.
 fn fixture_input(row: u64, rows: u64, width: u64) -> Vec<i8> {
     let one = |column: u64| {
         let mixed = (row * 1009 + column * 9176 + 12345) * 2_654_435_761;
@@ -95,7 +95,7 @@ fn tensorflows_exports_in_eight_modes_give_the_answers_of_its_interpreter() {
             let per_channel = layers.iter().any(|layer| layer.weight_scales.len() > 1);
             assert_eq!(per_channel, mode != "per-tensor", "{name}");
             let blob = blob(layers);
-            // The format that older images can read has not changed.
+            // The format that older images can read must not change.
             assert_eq!(blob[4], if per_channel { 2 } else { 1 }, "{name}");
             let model = Model::parse(&blob).unwrap();
             let wanted = fixture(&format!("{name}.answers.bin"));
@@ -196,7 +196,7 @@ fn float_and_int8_networks_survive_writing_and_reading() {
 
 #[test]
 fn constants_lie_at_multiples_of_16_bytes() {
-    // TFLite's schema requires this alignment, because kernels read the int32 biases in place.
+    // TFLite's schema requires this alignment, because kernels read the int32 biases directly from the file.
     let bytes = write(&int8_network());
     let biases: Vec<u8> = [1000i32; 5].iter().flat_map(|b| b.to_le_bytes()).collect();
     let at = bytes.windows(biases.len()).position(|window| window == biases).unwrap();
@@ -205,7 +205,7 @@ fn constants_lie_at_multiples_of_16_bytes() {
 
 #[test]
 fn a_foreign_operator_is_named() {
-    // Only operator codes contain 25 (SOFTMAX) both as a byte and as an int32.
+    // Only operator codes contain 25 (SOFTMAX) both as a byte and as an int32 number.
     let bytes = write(&float_network());
     let mut renamed = 0;
     let mut bytes = bytes;

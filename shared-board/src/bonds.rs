@@ -1,21 +1,21 @@
-//! The laptops that a board has bonded with, and the log in flash that remembers them.
+//! The laptops with which a board has bonded, and the log in flash that stores them.
 //!
 //! ```text
 //! page + 0       magic, sequence number, its complement, one word left blank
 //! page + 16 + 48 i   a record: keys, address, flags, CRC-32 (twelve words)
 //! ```
 //!
-//! There are two pages. Records are appended to the newer one, and the last record about a laptop counts. When it is full, what
-//! counts is copied to the other page, whose magic is written last; the full page stays until the next time. So power may fail at any
-//! word: what was remembered before is remembered, and the laptop that was being written is remembered or not.
+//! The log has two pages. Records are appended to the newer page, and the last record about a laptop is valid. When the page is
+//! full, the valid records are copied to the other page, whose magic number is written last. The full page stays until the
+//! next change of pages. The power may therefore fail at any word: all stored laptops remain, and the new laptop is either stored or not.
 
 use crate::models::MappedFlash;
 use crate::slots::is_newer;
 use shared_dsp::right::network::crc32;
 
-/// Laptops that are remembered. The one that bonded longest ago makes room for another.
+/// Maximum number of stored laptops. A new one replaces the laptop that bonded longest ago.
 pub const REMEMBERED: usize = 4;
-/// Pages of flash that a log takes.
+/// Number of flash pages that a log occupies.
 pub const PAGES: usize = 2;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"BMB3");
@@ -23,25 +23,25 @@ const HEADER_BYTES: usize = 16;
 const RECORD_BYTES: usize = 48;
 const CRC_AT: usize = RECORD_BYTES - 4;
 
-/// A laptop and the keys that board and laptop share.
+/// A laptop, and the keys that board and laptop share.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bond {
-    /// Encrypts the link (the long term key, little-endian).
+    /// The long term key, which encrypts the link (little-endian).
     pub key: [u8; 16],
-    /// Tells whose changing address an address is (the identity resolving key, little-endian); zeros if the laptop gave none.
+    /// The identity resolving key (little-endian), which recognises the laptop's changing address; zeros if the laptop sent none.
     pub resolving: [u8; 16],
-    /// The laptop's own address, little-endian.
+    /// The laptop's own address (little-endian).
     pub address: [u8; 6],
-    /// The address is a random one, not one that was bought.
+    /// The address is random, and was not assigned by the manufacturer.
     pub address_is_random: bool,
-    /// Somebody compared numbers while pairing.
+    /// Somebody compared numbers during the pairing.
     pub authenticated: bool,
-    /// It wants states whenever it is connected. A bonded laptop may rely on that after an absence.
+    /// The laptop requests states whenever it is connected. A bonded laptop expects this setting to survive an absence.
     pub listens: bool,
 }
 
 impl Bond {
-    /// Whether both are about one laptop.
+    /// Returns whether both bonds are with the same laptop.
     pub fn is_of_same_laptop(&self, other: &Self) -> bool {
         let same_address = self.address == other.address && self.address_is_random == other.address_is_random;
         same_address || (self.resolving != [0; 16] && self.resolving == other.resolving)
@@ -59,7 +59,7 @@ impl Bond {
         record
     }
 
-    /// None if the record was not finished.
+    /// Returns `None` if the record was not completely written.
     fn from_record(record: &[u8]) -> Option<Self> {
         let bytes = |at: usize| record.get(at..at + 16)?.try_into().ok();
         if word(record, CRC_AT) != Some(crc32(record.get(..CRC_AT)?)) {
@@ -76,7 +76,7 @@ impl Bond {
     }
 }
 
-/// The laptops that are remembered, the newest bond last.
+/// The stored laptops. The newest bond is the last one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Laptops([Option<Bond>; REMEMBERED]);
 
@@ -91,12 +91,12 @@ impl Laptops {
         self.iter().next().is_none()
     }
 
-    /// Remembers a laptop as the newest, in place of what was known of it, or of the oldest if there is no room.
+    /// Stores a laptop as the newest. It replaces the laptop's earlier bond, or the oldest bond if there is no room.
     pub fn keep(&mut self, bond: Bond) {
         let same = self.0.iter().position(|kept| kept.is_some_and(|kept| kept.is_of_same_laptop(&bond)));
         let free = self.0.iter().position(Option::is_none);
         let place = same.or(free).unwrap_or(0);
-        // Those behind it move up; blanks stay at the end.
+        // The bonds behind the removed one move up; blanks stay at the end.
         let used = free.unwrap_or(REMEMBERED);
         let end = if same.is_none() && free.is_some() { used + 1 } else { used };
         self.0[place..end].rotate_left(1);
@@ -104,11 +104,11 @@ impl Laptops {
     }
 }
 
-/// The flash did not take a bond.
+/// The flash could not store a bond.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotKept;
 
-/// Remembers laptops in two pages of flash.
+/// Stores laptops in two pages of flash.
 #[derive(Clone, Debug)]
 pub struct BondLog<F> {
     flash: F,
@@ -116,27 +116,27 @@ pub struct BondLog<F> {
 }
 
 impl<F: MappedFlash> BondLog<F> {
-    /// Reads what is remembered. The flash's first [`PAGES`] pages are the log's.
+    /// Reads the stored laptops. The log occupies the flash's first [`PAGES`] pages.
     pub fn open(flash: F) -> Self {
         let laptops =
             newest(flash.mapped(), F::ERASE_SIZE).map_or(Laptops::default(), |(_, page)| read(page));
         Self { flash, laptops }
     }
 
-    /// The laptops that flash remembers.
+    /// The laptops that are stored in flash.
     pub fn laptops(&self) -> Laptops {
         self.laptops
     }
 
-    /// The flash, for the board's next start.
+    /// Returns the flash, for the board's next start.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
-    /// Remembers this laptop. Nothing is written if it is remembered just so.
+    /// Stores this laptop. If exactly the same bond is already stored, nothing is written.
     ///
     /// # Errors
-    /// If the flash did not take it; what was remembered before still is.
+    /// If the flash could not store the bond. The bonds that were stored before remain.
     pub async fn keep(&mut self, bond: Bond) -> Result<(), NotKept> {
         if self.laptops.iter().any(|kept| *kept == bond) {
             return Ok(());
@@ -151,7 +151,7 @@ impl<F: MappedFlash> BondLog<F> {
         Ok(())
     }
 
-    /// Where the next record of the newest page goes, if it has room: behind the last one, torn ones included.
+    /// Returns the place of the next record in the newest page, if it has room. It is behind the last record, complete or not.
     fn room(&self) -> Option<usize> {
         let (start, page) = newest(self.flash.mapped(), F::ERASE_SIZE)?;
         let records = page.get(HEADER_BYTES..)?.chunks_exact(RECORD_BYTES);
@@ -161,7 +161,7 @@ impl<F: MappedFlash> BondLog<F> {
         (free < total).then_some(start + HEADER_BYTES + free * RECORD_BYTES)
     }
 
-    /// Copies what counts to the page that is not the newest.
+    /// Copies the valid records to the page that is not the newest.
     async fn start_page(&mut self, laptops: &Laptops) -> Result<(), NotKept> {
         let page = F::ERASE_SIZE;
         let (start, sequence) = match newest(self.flash.mapped(), page) {
@@ -177,7 +177,7 @@ impl<F: MappedFlash> BondLog<F> {
         numbers.0[..4].copy_from_slice(&sequence.to_le_bytes());
         numbers.0[4..].copy_from_slice(&(!sequence).to_le_bytes());
         self.flash.write(start as u32 + 4, &numbers.0).await.map_err(|_| NotKept)?;
-        // From this word on the page counts.
+        // Once this word is written, the page is valid.
         self.flash.write(start as u32, &Aligned(MAGIC.to_le_bytes()).0).await.map_err(|_| NotKept)?;
         match newest(self.flash.mapped(), page) {
             Some((at, bytes)) if at == start && read(bytes) == *laptops => Ok(()),
@@ -193,7 +193,7 @@ impl<F: MappedFlash> BondLog<F> {
     }
 }
 
-/// The newest whole page and where it begins.
+/// Returns the newest complete page, and where it begins.
 fn newest(store: &[u8], page_bytes: usize) -> Option<(usize, &[u8])> {
     let mut best: Option<(usize, &[u8], u32)> = None;
     for (i, page) in store.chunks_exact(page_bytes).take(PAGES).enumerate() {
@@ -222,6 +222,6 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
     Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
 }
 
-/// Flash controllers take whole words.
+/// Flash controllers write only complete words.
 #[repr(align(4))]
 struct Aligned<const N: usize>([u8; N]);

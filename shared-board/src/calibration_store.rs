@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Address 0 remains unused.
-//! If the supply fails during a write, it can be damaged, because the address register is 0 after a reset.
+//! If the supply voltage fails during a write, address 0 can be damaged, because the address register is 0 after a reset.
 //!
 //! A new record goes to the unused slot, so a power cut at any moment preserves the last valid record.
 //! `shared_dsp::left::calibration` defines the records and selects the valid slot.
@@ -15,19 +15,19 @@ use shared_dsp::left::calibration::{Calibration, RECORD_BYTES, Record, Stored};
 const SLOTS: [u16; 2] = [0x020, 0x040];
 const POWER_UPS: u16 = 0x060;
 
-/// Non-volatile memory that is written byte by byte. Unwritten bytes read 0xFF.
+/// Non-volatile memory that is written byte by byte. Bytes that were never written read 0xFF.
 pub trait Eeprom {
     /// Returns whether a write is in progress.
     fn is_busy(&self) -> bool;
-    /// Reads a byte. May wait for a write in progress.
+    /// Reads a byte, after waiting for a write in progress if necessary.
     fn read(&self, address: u16) -> u8;
-    /// Starts to write a byte. May wait for a write in progress.
+    /// Starts to write a byte, after waiting for a write in progress if necessary.
     fn write(&mut self, address: u16, byte: u8);
 }
 
 /// Generates a number that is unique to this start.
-/// It combines a count of power-ups, which is stored here, with `starts`, the number of earlier starts since then,
-/// which is kept in RAM.
+/// The number combines a count of power-ups, which is stored here, with `starts`, which counts earlier starts since then
+/// and is kept in RAM.
 /// A program that restarts for ever therefore does not wear out the EEPROM.
 #[inline(never)]
 pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
@@ -36,7 +36,7 @@ pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
         *byte = memory.read(POWER_UPS + i as u16);
     }
     let mut power_ups = u32::from_le_bytes(bytes);
-    // The count is also incremented when the count in RAM has wrapped.
+    // The count is also incremented when the counter in RAM has wrapped.
     if starts == 0 {
         power_ups = power_ups.wrapping_add(1);
         for (i, (new, old)) in power_ups.to_le_bytes().into_iter().zip(bytes).enumerate() {
@@ -62,9 +62,9 @@ fn read_slot(memory: &impl Eeprom, slot: usize) -> [u8; RECORD_BYTES] {
 pub enum Progress {
     /// No write has finished.
     None,
-    /// A write has finished and was verified.
+    /// A write has finished, and the byte was verified.
     Done,
-    /// A write has finished, but the bytes differ.
+    /// A write has finished, but the byte differs from the written one.
     Failed,
 }
 
@@ -73,7 +73,7 @@ struct Job {
     slot: usize,
     bytes: [u8; RECORD_BYTES],
     at: usize,
-    /// Whether to erase the other slot afterwards.
+    /// Whether the other slot must be erased afterwards.
     then_other: bool,
 }
 
@@ -81,7 +81,7 @@ struct Job {
 #[derive(Clone, Debug)]
 pub struct CalibrationStore<M> {
     memory: M,
-    /// The active slot and its generation.
+    /// The active slot, and the generation of its record.
     slot: usize,
     generation: u8,
     job: Option<Job>,
@@ -152,7 +152,7 @@ impl<M: Eeprom> CalibrationStore<M> {
         Progress::Done
     }
 
-    /// Returns the memory, for the board's next start.
+    /// Returns the memory, for use at the board's next start.
     pub fn into_memory(self) -> M {
         self.memory
     }

@@ -1,11 +1,11 @@
-//! Stores faults for laptops that connect later.
+//! Stores faults, so that laptops that connect later receive them.
 
 use crate::FrameOut;
 use shared_proto::message::{BoardBody, Fault};
 
 const KEPT: usize = 4;
 
-/// The first fault of each kind since start, and the newest one: at most four in total.
+/// The first fault of each kind since the start, and the newest fault: at most four in total.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FaultLog {
     kept: [Option<Fault>; KEPT],
@@ -17,7 +17,7 @@ impl FaultLog {
         Self { kept: [None; KEPT] }
     }
 
-    /// Stores and sends a fault. If there is no room, it replaces the newest one.
+    /// Stores and sends a fault. If there is no room, the new fault replaces the newest one.
     pub fn report(&mut self, fault: Fault, out: &mut impl FrameOut) {
         let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
         let free = self.kept.iter().position(Option::is_none);

@@ -1,4 +1,4 @@
-//! The source of a right board's gestures: a network with an IMU, or anything with the same output.
+//! The source of a right board's gestures: a network with an IMU, or anything else with the same output.
 
 use core::marker::PhantomData;
 
@@ -11,16 +11,16 @@ pub trait Hand {
     /// The type of a sample.
     type Sample;
 
-    /// Adds the sample of `time_ms`. Returns true once per hop, when [`Hand::output`] is new.
+    /// Adds the sample that was taken at `time_ms`. Returns true once per hop, when [`Hand::output`] is new.
     fn push(&mut self, sample: &Self::Sample, time_ms: u32) -> bool;
 
-    /// Reports missing samples: the window starts again, and events and their counter remain.
+    /// Reports missing samples. The window starts again; past events and their counter remain.
     fn gap(&mut self);
 
-    /// Returns the state at the last hop.
+    /// Returns the state after the last hop.
     fn output(&self) -> &RightOutput;
 
-    /// Returns the requirements and labels of the model.
+    /// Returns the requirements of the model, and its labels.
     fn model(&self) -> ModelInfo<'_>;
 
     /// Returns the physical value of one count (m/s², deg/s, µT), or `None` if samples cannot be recorded.
@@ -30,7 +30,7 @@ pub trait Hand {
     fn counts(&self, sample: &Self::Sample, counts: &mut [i16; MAX_AXES]) -> usize;
 }
 
-/// Converts a model's description to its wire message.
+/// Converts a model's description to its message on the wire.
 pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<'a> {
     ModelInfo {
         model_id: info.model_id,
@@ -42,7 +42,7 @@ pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<
     }
 }
 
-/// The unit of a hand's samples.
+/// The unit in which a hand's samples are given.
 pub trait Reading: Copy {
     /// Converts to m/s², deg/s or µT, where one count is `scale`.
     fn value(self, scale: f32) -> f32;
@@ -71,7 +71,7 @@ impl Reading for f32 {
     /// Rounds to the nearest count within 16 bits. NaN becomes 0.
     fn count(self, scale: f32) -> i16 {
         let exact = self / scale;
-        // The cast saturates at the limits and truncates towards zero.
+        // The cast saturates at the limits and rounds towards zero.
         (exact + if exact < 0.0 { -0.5 } else { 0.5 }) as i16
     }
 }
@@ -82,7 +82,7 @@ pub type CountHand<'m, const A: usize> = SampledHand<'m, i16, A>;
 /// A hand whose samples are in m/s², deg/s and µT.
 pub type ValueHand<'m, const A: usize> = SampledHand<'m, f32, A>;
 
-/// A hand that runs a model on samples of `A` readings.
+/// A hand that runs a model on samples with `A` values each.
 #[derive(Clone, Debug)]
 pub struct SampledHand<'m, R, const A: usize> {
     hand: RightHand<'m, A>,
@@ -91,7 +91,7 @@ pub struct SampledHand<'m, R, const A: usize> {
 }
 
 impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
-    /// `scale` is the physical value of one count in m/s², deg/s and µT, for the samples or for record mode.
+    /// `scale` is the physical value of one count in m/s², deg/s and µT. It converts the samples, or is used in record mode.
     pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
         Self { hand, scale, readings: PhantomData }
     }

@@ -11,19 +11,19 @@ use shared_proto::message::{
     Status, TiltThresholds,
 };
 
-/// A state is sent with every second sample: 50 Hz.
+/// A state is sent with every second sample, which is at 50 Hz.
 const SAMPLES_PER_STATE: u8 = 2;
 
-/// The origin of the current calibration step or write.
+/// The origin of the current calibration step or of the current write.
 #[derive(Clone, Copy, Debug)]
 enum Asker {
     Nobody,
     /// The laptop requested the step; the value is the number of its request.
     Host(u16),
-    /// The calibration pin at power-on.
+    /// The calibration pin was grounded at power-on.
     Pin {
         guided: Guided,
-        /// The calibration to restore after a failure.
+        /// The calibration that is restored after a failure.
         before: Option<Calibration>,
     },
 }
@@ -33,13 +33,13 @@ enum Asker {
 pub struct Start {
     /// The reason why the previous run ended, such as a watchdog or a panic.
     pub fault: Option<FaultKind>,
-    /// Whether to calibrate now, guided by the light, without a laptop.
+    /// Whether to calibrate now without a laptop, guided by the light.
     pub guided: bool,
 }
 
 /// The left board without its registers. `M` is the memory for the calibration.
 ///
-/// All times are the beginning of the current sampling period on the board's clock.
+/// All times are those at which the current sampling period began, on the board's clock.
 #[derive(Clone, Debug)]
 pub struct LeftBoard<M> {
     identity: Identity,
@@ -96,7 +96,7 @@ impl<M: Eeprom> LeftBoard<M> {
     pub fn sample(&mut self, counts: AdcCounts, now_ms: u32, out: &mut impl FrameOut) {
         self.sampled_in_period = true;
         if self.mode == Mode::Record {
-            // If there is no room, the sample is lost, and the laptop detects this from the times.
+            // If there is no room, the sample is lost, and the laptop notices this from the times.
             send(&RawAdc { board_time_ms: now_ms, counts: counts.as_array() }, out);
         }
         let output = self.hand.step(counts, now_ms);
@@ -126,7 +126,7 @@ impl<M: Eeprom> LeftBoard<M> {
         due
     }
 
-    /// Sends the counters of the drivers together with the board's time, damaged frames and mode.
+    /// Sends the counters of the drivers, together with the board's time, damaged frames and mode.
     /// The drivers' `bad_frames` are bytes that arrived too fast.
     #[inline]
     pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
@@ -136,7 +136,7 @@ impl<M: Eeprom> LeftBoard<M> {
         send(&counted, out);
     }
 
-    /// Processes a byte from the laptop. Answers are sent immediately, and a hello in the next period.
+    /// Processes a byte from the laptop. Answers are sent immediately, except a hello, which is sent in the next period.
     #[inline(never)]
     pub fn receive(&mut self, byte: u8, now_ms: u32, out: &mut impl FrameOut) {
         let Some(message) = self.decoder.push_left_request(byte) else { return };
@@ -172,7 +172,7 @@ impl<M: Eeprom> LeftBoard<M> {
         self.hand.calibration()
     }
 
-    /// Returns the memory, for the board's next start.
+    /// Returns the memory, for use at the board's next start.
     pub fn into_memory(self) -> M {
         self.store.into_memory()
     }
@@ -204,7 +204,7 @@ impl<M: Eeprom> LeftBoard<M> {
         }
     }
 
-    /// Advances the calibration: completed steps, bytes to write, and the light.
+    /// Advances the calibration. It handles completed steps, bytes to write, and the light.
     #[inline(never)]
     fn calibrate(&mut self, now_ms: u32, out: &mut impl FrameOut) {
         let ended = self.hand.take_captured();

@@ -1,4 +1,4 @@
-//! The logic of the boards without their pins: samples, bytes and time in; frames, memory operations and light out.
+//! The logic of the boards without their pins. Inputs are samples, bytes and time; outputs are frames, memory operations and the light.
 //!
 //! ```text
 //!  samples ─▶ ┌───────────────────────┐ ─▶ frames
@@ -9,16 +9,16 @@
 //!                  ModelStore ─▶ flash
 //! ```
 //!
-//! * [`left::LeftBoard`]: tilt and bends, calibration kept in EEPROM, thresholds.
-//! * [`right::RightBoard`]: gestures, record mode, requirements of the model.
+//! * [`left::LeftBoard`]: tilts and bends, a calibration in EEPROM, and thresholds.
+//! * [`right::RightBoard`]: gestures, record mode, and requirements of the model.
 //! * [`vibration::Vibration`]: patterns of the motor at the right board.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
 //!
-//! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all run this code.
-//! They differ only in the source of samples and the destination of frames.
+//! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all use this code.
+//! They differ only in where samples come from and where frames go.
 //!
 //! This code never waits, reads a clock or accesses a register.
-//! Time is the board's own clock in milliseconds since start, which wraps after 49 days.
+//! All times are on the board's own clock, in milliseconds since start, which wraps after 49 days.
 //!
 //! # A left board in ten lines
 //! ```
@@ -87,7 +87,7 @@ impl<F: FnMut(&[u8]) -> bool> FrameOut for F {
 pub struct Identity {
     /// The kind of board, which also determines its hand.
     pub board: Board,
-    /// Version of the program, such as `0.1.0`.
+    /// Version of the program, for example `0.1.0`.
     pub firmware: &'static str,
     /// A number that differs after each start.
     pub boot_id: u32,
@@ -96,7 +96,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// Creates the hello of this board. `model_id` is 0 if no model runs.
+    /// Creates the hello message of this board. `model_id` is 0 if no model runs.
     fn hello(&self, model_id: u32) -> Hello<'static> {
         Hello {
             major: PROTOCOL_MAJOR,

@@ -28,20 +28,20 @@ pub struct RamEeprom {
     bytes: [u8; 128],
     /// Number of bytes written.
     pub writes: u32,
-    /// Number of bytes that are still stored. Later writes are lost, as after a power cut.
+    /// Number of bytes that will still be stored. Later writes are lost, as after a power cut.
     pub writes_left: u32,
-    /// Number of calls to `is_busy` after a write that return true.
+    /// Number of calls after a write for which `is_busy` returns true.
     pub busy_for: u32,
     busy: Cell<u32>,
 }
 
 impl RamEeprom {
-    /// An EEPROM that was never written.
+    /// Creates an EEPROM that was never written.
     pub fn blank() -> Self {
         Self { bytes: [0xFF; 128], writes: 0, writes_left: u32::MAX, busy_for: 0, busy: Cell::new(0) }
     }
 
-    /// An EEPROM in which a board has stored this calibration.
+    /// Creates an EEPROM in which a board has stored this calibration.
     pub fn with(calibration: &Calibration) -> Self {
         let (mut store, _) = CalibrationStore::load(Self::blank());
         store.keep(calibration);
@@ -79,16 +79,16 @@ impl Eeprom for RamEeprom {
     }
 }
 
-/// NOR flash in RAM: writing clears bits, and erasing sets all bits of a page.
+/// NOR flash in RAM. Writing clears bits, and erasing sets all bits of a page.
 #[derive(Clone, Debug)]
 pub struct RamFlash {
     bytes: Vec<u8>,
-    /// Number of words and pages processed.
+    /// Number of words and pages that were processed.
     pub operations: u32,
-    /// Number of operations until a power cut, which interrupts the last one at any bit.
+    /// Number of operations until a power cut, which interrupts the last operation at any bit.
     /// Later operations have no effect.
     pub cut_after: Option<u32>,
-    /// Selects the bits that an interrupted operation has changed.
+    /// Selects the bits that an interrupted operation has already changed.
     pub torn: u32,
 }
 
@@ -113,7 +113,7 @@ impl RamFlash {
         (self.torn >> 24) as u8
     }
 
-    /// Sets bytes to `new`, or only some of their bits at a power cut.
+    /// Sets bytes to `new`. At a power cut, it sets only some of their bits.
     fn operate(&mut self, offset: usize, new: &[u8]) -> Result<(), NorFlashErrorKind> {
         let is_cut = match &mut self.cut_after {
             Some(0) => return Err(NorFlashErrorKind::Other),

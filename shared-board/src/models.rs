@@ -4,8 +4,8 @@
 //! Begin -> Started ... Ok(0) -> Chunk -> Ok(next) ... Chunk -> Ok(size) -> Commit -> Ok
 //! ```
 //!
-//! A piece at an unexpected offset is refused, and the answer contains the expected one.
-//! A laptop that missed an acknowledgement continues from there. A new `Begin` starts again.
+//! A piece at an unexpected offset is refused, and the answer contains the expected offset.
+//! A laptop that missed an acknowledgement continues at that offset. A new `Begin` starts again from the beginning.
 //! A transfer always uses the inactive slot, so no failure can damage the running model.
 
 use crate::slots::{BLOB_MAX, Content, HEADER_BYTES, MAGIC, SLOT_BYTES, Slot, is_newer, look};
@@ -19,7 +19,7 @@ use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBeg
 /// NOR flash that can also be read like memory, as in a microcontroller.
 ///
 /// The store uses the first [`STORE_BYTES`](crate::slots::STORE_BYTES).
-/// A write has a multiple of four bytes, and its address and its source are aligned to four.
+/// The length of a write is a multiple of four bytes, and its address and its source are aligned to four.
 pub trait MappedFlash: NorFlash {
     /// Returns all bytes of the flash.
     fn mapped(&self) -> &[u8];
@@ -34,22 +34,22 @@ pub enum ModelRequest<'r> {
     Chunk {
         /// Repeated in the answer.
         request: u16,
-        /// Offset of the data in bytes.
+        /// Offset of the data in the blob, in bytes.
         offset: u32,
         /// The piece.
         data: &'r [u8],
     },
-    /// All pieces were sent: verify and store the model.
+    /// All pieces were sent, so the board must verify and store the model.
     Commit {
         /// Repeated in the answer.
         request: u16,
-        /// CRC-32 of the complete blob.
+        /// CRC-32 of the complete model.
         crc32: u32,
     },
 }
 
 impl ModelRequest<'_> {
-    /// Answers on behalf of a board that stores no models.
+    /// Answers requests for a board that stores no models.
     pub fn refuse(&self, out: &mut impl FrameOut) {
         let (Self::Begin(ModelBegin { request, .. })
         | Self::Chunk { request, .. }
@@ -61,7 +61,7 @@ impl ModelRequest<'_> {
 /// The models that an image can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Runs {
-    /// Values per sample of the sensor. A model may read fewer.
+    /// Number of values per sample of the sensor. A model may read fewer.
     pub axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -85,28 +85,28 @@ impl Runs {
     }
 }
 
-/// A stored model that can run.
+/// A stored model that this image can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoredModel {
-    /// The slot of the model.
+    /// The slot in which the model is stored.
     pub slot: Slot,
-    /// Length of the blob in bytes.
+    /// Length of the model's blob in bytes.
     pub len: usize,
 }
 
 impl StoredModel {
-    /// Returns the offset of the blob in the store, in bytes.
+    /// Returns where the blob begins in the store, in bytes.
     pub const fn offset(self) -> usize {
         self.slot.offset() + HEADER_BYTES
     }
 }
 
-/// The contents of the store at start.
+/// The contents of the store when the board starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
     /// The newest valid model that this image can run.
     pub model: Option<StoredModel>,
-    /// Whether a slot contains damaged data, or a model that this image cannot run.
+    /// Whether a slot contains damaged data, or a model that cannot run on this image.
     pub damaged: bool,
 }
 
@@ -128,7 +128,7 @@ pub struct ModelStore<F> {
 }
 
 impl<F: MappedFlash> ModelStore<F> {
-    /// Searches for the model to run. The caller runs it, or the compiled-in model if there is none.
+    /// Searches for the model to run. The caller runs the result, or the compiled-in model if there is none.
     pub fn open(flash: F, runs: Runs) -> (Self, Found) {
         let mut found = Found { model: None, damaged: false };
         let mut newest = 0;
@@ -147,7 +147,7 @@ impl<F: MappedFlash> ModelStore<F> {
         (Self { flash, runs, running: found.model.map(|place| place.slot), transfer: None }, found)
     }
 
-    /// Sets the number of axes that the driver has detected. Models received later must run with them.
+    /// Sets the number of axes that the driver has detected. Models received later must be able to run with them.
     pub fn set_axes(&mut self, axes: u8) {
         self.runs.axes = axes;
     }
@@ -157,13 +157,13 @@ impl<F: MappedFlash> ModelStore<F> {
         &self.flash
     }
 
-    /// Returns the flash, for the board's next start.
+    /// Returns the flash, for use at the board's next start.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
     /// Executes a request and answers it.
-    /// After each erased page it calls `pause`, in which a board reads the samples that its sensor has buffered.
+    /// After each erased page it calls `pause`, in which a board reads the samples that its sensor has stored meanwhile.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -214,14 +214,14 @@ impl<F: MappedFlash> ModelStore<F> {
         if data.is_empty() || end > u64::from(transfer.size) || (!data.len().is_multiple_of(4) && !is_last) {
             return AckResult::OutOfRange;
         }
-        // The last piece is padded with ones, which have no effect in flash.
+        // The last piece is padded with one bits, which have no effect in flash.
         let mut aligned = Aligned([0xFF; MODEL_CHUNK_MAX]);
         let Some(place) = aligned.0.get_mut(..data.len()) else { return AckResult::OutOfRange };
         place.copy_from_slice(data);
         let words = &aligned.0[..data.len().next_multiple_of(4)];
         let at = transfer.slot.offset() + HEADER_BYTES + offset as usize;
         if self.flash.write(at as u32, words).await.is_err() {
-            // Flash cannot be written twice, so the transfer must start again.
+            // A word of flash cannot be written twice, so the transfer must start again.
             self.transfer = None;
             return AckResult::StorageFailed;
         }
@@ -229,7 +229,7 @@ impl<F: MappedFlash> ModelStore<F> {
         AckResult::Ok
     }
 
-    /// Stores the model if it is complete, equals the announced one and can run.
+    /// Stores the model if it is complete, matches the announcement and can run.
     async fn commit(&mut self, crc: u32) -> AckResult {
         let Some(transfer) = self.transfer.filter(|t| t.next == t.size) else {
             return AckResult::WrongOffset;
@@ -249,7 +249,7 @@ impl<F: MappedFlash> ModelStore<F> {
         result
     }
 
-    /// Makes the written blob valid, so that the next start uses it.
+    /// Makes the written blob valid, so that the board uses it after its next start.
     async fn validate(&mut self, transfer: &Transfer, crc: u32) -> Result<(), ()> {
         let mut newest = None;
         for slot in Slot::ALL {
@@ -274,7 +274,7 @@ impl<F: MappedFlash> ModelStore<F> {
         }
     }
 
-    /// Returns the slot for a transfer.
+    /// Returns the slot that a transfer uses.
     fn target(&self) -> Slot {
         if let Some(running) = self.running {
             return running.other();

@@ -13,8 +13,8 @@ use shared_proto::message::{
     Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
 };
 
-/// After this long without a sample, [`RightBoard::silence`] is due, and again after each further period.
-/// This time is longer than erasing a page of flash, during which samples wait in the sensor.
+/// After this time without a sample, [`RightBoard::silence`] is due, and again after each further period.
+/// The time is longer than the erasure of a flash page, during which samples wait in the sensor.
 pub const SILENCE_MS: u32 = 120;
 
 /// The state that the board's light shows.
@@ -38,7 +38,7 @@ pub struct RightBoard<H> {
     board_time_ms: u32,
     sensor_ok: bool,
     about: Option<About>,
-    /// The last description that was sent to all links.
+    /// The last description of the hardware that was sent to all links.
     told: Option<About>,
     vibration: Vibration,
     /// Whether a hello was sent since start.
@@ -66,10 +66,10 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Processes sample `number` since start with its time.
+    /// Processes sample `number` since start, and its time.
     /// Returns whether [`RightBoard::send_due`] has something to send.
     ///
-    /// There are two functions because this one only computes and the other one only sends.
+    /// There are two functions, so that this one only computes and the other one only sends.
     #[inline]
     pub fn sample(&mut self, sample: &H::Sample, time_ms: u32, number: u32) -> bool {
         match self.mode {
@@ -78,7 +78,7 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop receives the reason why no gesture is recognised, at the usual rate of states.
+                // The laptop receives the reason why no gesture is recognised as often as it would receive states.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }
@@ -110,7 +110,7 @@ impl<H: Hand> RightBoard<H> {
         self.raw.clear();
     }
 
-    /// Reports that no sample arrived for [`SILENCE_MS`]. It empties the window and informs the laptop.
+    /// Reports that no sample arrived for [`SILENCE_MS`]. This empties the window and informs the laptop.
     pub fn silence(&mut self, out: &mut impl FrameOut) {
         self.gap();
         self.greet(out);
@@ -125,17 +125,17 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Sets the description of the board's hardware, as far as the driver knows it.
-    /// It is sent after each hello, and with the next status after a change (such as the battery).
+    /// The description is sent after each hello. If it changes (such as the battery), it is sent with the next status.
     pub fn set_about(&mut self, about: About) {
         self.about = Some(about);
     }
 
-    /// Number of valid values per sample, once the sensor is known.
+    /// Number of valid values per sample, once the sensor has been detected.
     fn axes(&self) -> Option<usize> {
         self.about.map(|about| usize::from(about.axes)).filter(|&axes| axes > 0)
     }
 
-    /// Returns whether the sensor provides everything that the model reads.
+    /// Returns whether the sensor provides all values that the model reads.
     pub fn model_can_run(&self) -> bool {
         let model = self.hand.model();
         let runs_on = |axes| {
@@ -155,9 +155,9 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Answers a message.
-    /// It returns messages about models, which a [`ModelStore`](crate::models::ModelStore) must answer.
+    /// The method returns messages about models, which a [`ModelStore`](crate::models::ModelStore) must answer.
     ///
-    /// `trusted` is whether the link may change settings and stored data (Bluetooth: bonded).
+    /// `trusted` is true if the link may change settings and stored data (with Bluetooth, if it is bonded).
     pub fn receive<'r>(
         &mut self,
         message: &HostMessage<'r>,
@@ -203,8 +203,8 @@ impl<H: Hand> RightBoard<H> {
         None
     }
 
-    /// Sends the counters of the drivers together with the board's time and mode.
-    /// Call it every [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
+    /// Sends the counters of the drivers, together with the board's time and mode.
+    /// Call this every [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
     pub fn status(&mut self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
         counted.mode = self.mode;
@@ -216,7 +216,7 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Returns the state of the vibration motor.
-    /// Call it again after the returned time, and after each [`HostMessage::Feel`].
+    /// Call this again at the returned time, and after each [`HostMessage::Feel`].
     pub fn motor(&mut self, now_ms: u32) -> Motor {
         self.vibration.motor(now_ms)
     }
@@ -230,7 +230,7 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Informs a connected laptop about the start.
+    /// Informs a connected laptop that the board has started.
     fn greet(&mut self, out: &mut impl FrameOut) {
         if !self.greeted {
             self.greeted = true;
@@ -289,7 +289,7 @@ impl<H: Hand> RightBoard<H> {
     }
 }
 
-/// Samples to be sent in record mode, one hop at a time.
+/// Samples that will be sent in record mode, one hop at a time.
 #[derive(Clone, Copy, Debug)]
 struct RawBatch {
     sequence: u16,
@@ -308,9 +308,9 @@ impl RawBatch {
         self.samples = 0;
     }
 
-    /// Adds a sample. Returns true if the batch is full.
+    /// Adds a sample. Returns true if this fills the batch.
     fn push(&mut self, number: u32, counts: &[i16]) -> bool {
-        // A batch must not contain gaps.
+        // The samples of a batch must not have gaps.
         let expected = self.first.wrapping_add(self.samples as u32);
         if self.samples == 0 || self.samples == HOP || number != expected {
             self.samples = 0;

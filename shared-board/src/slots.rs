@@ -1,4 +1,4 @@
-//! Layout of received models in flash: two slots of 16 KB in NOR flash.
+//! The layout in which NOR flash stores received models: two slots of 16 KB.
 //!
 //! ```text
 //! slot + 0   magic, length, CRC-32 of the blob, sequence number (four little-endian words)
@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The words are written after the blob was read back and its CRC was checked, and the magic number is written last.
-//! A transfer that is interrupted at any point therefore leaves a slot that counts as empty.
+//! If a transfer is interrupted at any point, its slot therefore counts as empty.
 
 use shared_dsp::right::network::crc32;
 
@@ -14,11 +14,11 @@ use shared_dsp::right::network::crc32;
 pub const SLOT_BYTES: usize = 0x4000;
 /// Size of both slots in bytes, which is the flash that a store needs.
 pub const STORE_BYTES: usize = 2 * SLOT_BYTES;
-/// Number of bytes before the blob.
+/// Number of bytes in a slot before the blob.
 pub const HEADER_BYTES: usize = 16;
 /// Maximum length of a blob.
 pub const BLOB_MAX: usize = SLOT_BYTES - HEADER_BYTES;
-/// First word of a slot with a complete blob.
+/// First word of a slot that contains a complete blob.
 pub(crate) const MAGIC: u32 = u32::from_le_bytes(*b"BMS1");
 
 /// One of the two slots.
@@ -54,9 +54,9 @@ impl Slot {
 /// The contents of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content<'f> {
-    /// The slot is empty or contains an incomplete transfer.
+    /// The slot is empty, or contains an incomplete transfer.
     Empty,
-    /// A blob that was complete but is now damaged.
+    /// The slot contains a blob that was complete but is now damaged.
     Damaged,
     /// A valid blob.
     Blob {

@@ -1,4 +1,4 @@
-//! Patterns of the vibration motor at the right hand's board, designed to be distinguishable at the wrist.
+//! Patterns of the vibration motor at the right hand's board. The wearer's wrist can distinguish them.
 //!
 //! | | pulses |
 //! |---|---|
@@ -7,13 +7,13 @@
 //! | stopped | one, long |
 //! | link lost | three, of middle length |
 //!
-//! The laptop requests the first three, and also the last one if the *other* hand is lost.
-//! If the laptop itself is silent, the board plays the last one on its own.
+//! The laptop requests the first three patterns, and also the last one if the *other* hand is lost.
+//! If the laptop itself is silent, the board plays the last pattern without a request.
 
 use shared_proto::message::Signal;
 
-/// A laptop that has requested signals and then sends nothing for this long counts as lost.
-/// The laptop normally pings ten times as often.
+/// If a laptop has requested signals and then sends nothing for this long, it counts as lost.
+/// The laptop normally sends pings ten times as often.
 pub const LAPTOP_LOST_MS: u32 = 1000;
 
 struct Pattern {
@@ -21,7 +21,7 @@ struct Pattern {
     on_ms: u32,
     off_ms: u32,
     percent: u8,
-    /// Priority: a less important signal does not interrupt this one.
+    /// Priority of the signal. A less important signal does not interrupt a more important one.
     weight: u8,
 }
 
@@ -40,7 +40,7 @@ impl Pattern {
         self.pulses * (self.on_ms + self.off_ms) - self.off_ms
     }
 
-    /// Returns the strength at a time after the start, and the time of its next change.
+    /// Returns the strength at a time after the start of the pattern, and the time of its next change.
     const fn at(&self, passed_ms: u32) -> (u8, u32) {
         let in_pulse_ms = passed_ms % (self.on_ms + self.off_ms);
         if in_pulse_ms < self.on_ms {
@@ -54,18 +54,18 @@ impl Pattern {
 /// The current state of the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Motor {
-    /// Strength in per cent: 0 = off, 100 = maximum.
+    /// Strength in per cent: 0 means off, 100 means maximum.
     pub percent: u8,
-    /// Time after which to ask again, or `None` if no signal was ever requested.
+    /// Time at which to ask again, or `None` if no signal was ever requested.
     pub for_ms: Option<u32>,
 }
 
 /// Converts signals to the strength of the motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Vibration {
-    /// The current signal and its start time.
+    /// The current signal, and the time at which it started.
     playing: Option<(Signal, u32)>,
-    /// Time of the laptop's last message, or `None` if it has requested no signals or is disconnected.
+    /// Time of the laptop's last message. It is `None` if the laptop has requested no signals or is disconnected.
     heard_ms: Option<u32>,
     /// Whether signals were requested since start.
     wanted: bool,
@@ -122,7 +122,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Returns strengths and their durations from `from_ms` on, as a driver obtains them.
+    /// Returns strengths and how long each lasts from `from_ms` on, as a driver obtains them.
     /// The pattern ends at `until_ms`, or when nothing changes for a second.
     fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
         let mut seen: Vec<(u8, u32)> = Vec::new();
@@ -187,7 +187,7 @@ mod tests {
         assert_eq!(vibration.motor(6900), Motor { percent: 100, for_ms: Some(250) });
         assert_eq!(vibration.motor(8000), Motor { percent: 0, for_ms: None });
         assert_eq!(vibration.motor(60_000), Motor { percent: 0, for_ms: None });
-        // The laptop returns and is lost again.
+        // The laptop comes back and is lost again.
         vibration.heard(70_000);
         assert_eq!(vibration.motor(70_999), Motor { percent: 0, for_ms: Some(1) });
         assert_eq!(vibration.motor(71_000).percent, 100);

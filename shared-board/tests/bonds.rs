@@ -1,13 +1,13 @@
-//! Laptops are remembered whatever happens to the power, and no more of them than there is room for.
+//! Tests that power cuts lose no stored laptop, and that the number of stored laptops is limited.
 
 use proptest::prelude::*;
 use shared_board::bonds::{Bond, BondLog, Laptops, NotKept, REMEMBERED};
 use shared_board::memory::{RamFlash, at_once};
 
-/// Records of a page: 4096 bytes less 16 of its header, 48 bytes each.
+/// Number of records in a page: 4096 bytes without a header of 16 bytes, at 48 bytes each.
 const PER_PAGE: u32 = 85;
 
-/// A laptop; another `key` is another pairing of it.
+/// A laptop; a different `key` stands for a different pairing with it.
 fn laptop(number: u8, key: u8) -> Bond {
     Bond {
         key: [key; 16],
@@ -58,7 +58,7 @@ fn a_laptop_that_changes_its_address_is_known_by_its_resolving_key() {
     let with = |number, key| Bond { resolving: [7; 16], ..laptop(number, key) };
     let flash = keep_all(RamFlash::blank(), [with(1, 1), laptop(3, 3), with(2, 2)]);
     assert_eq!(remembered(&flash), [laptop(3, 3), with(2, 2)]);
-    // Without one, only the address tells.
+    // Without this key, only the address identifies the laptop.
     let flash = keep_all(RamFlash::blank(), [laptop(1, 1), laptop(2, 2)]);
     assert_eq!(remembered(&flash), [laptop(1, 1), laptop(2, 2)]);
 }
@@ -78,7 +78,7 @@ fn every_field_survives_and_what_is_known_already_is_not_written() {
     let operations = flash.operations;
     let flash = keep_all(flash, [bond]);
     assert_eq!(flash.operations, operations);
-    // A record of twelve words is one operation per word.
+    // A record of twelve words needs one operation per word.
     let flash = keep_all(flash, [Bond { listens: false, ..bond }]);
     assert_eq!(flash.operations, operations + 12);
     assert_eq!(remembered(&flash), [Bond { listens: false, ..bond }]);
@@ -117,7 +117,7 @@ fn a_damaged_record_is_left_out_and_the_others_count() {
 
 #[test]
 fn power_that_goes_at_any_word_leaves_what_was_or_what_is_new_and_the_next_laptop_is_kept() {
-    // The first bond at all; one that is appended; one at which the page is full, and one at which the second is.
+    // Tests the first bond, an appended bond, a bond that fills the page, and a bond that fills the second page.
     for written in [0, 3, PER_PAGE, PER_PAGE + 1, 2 * PER_PAGE, 2 * PER_PAGE - 2] {
         let before = keep_all(RamFlash::blank(), (0..written).map(|i| laptop(i as u8 % 4, i as u8)));
         let old = remembered(&before);
@@ -146,7 +146,7 @@ fn power_that_goes_at_any_word_leaves_what_was_or_what_is_new_and_the_next_lapto
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Power cut after power cut, at any word and any of its bits: nothing that was remembered is lost but by another's bond.
+    /// After repeated power cuts at any word and any bit, only the bond of another laptop may replace a stored one.
     #[test]
     fn no_number_of_power_cuts_makes_a_board_forget(
         filled in 0..2 * PER_PAGE,

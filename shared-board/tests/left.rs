@@ -15,14 +15,14 @@ use shared_proto::message::{
     Status, TiltThresholds, health,
 };
 
-/// x, y, z, index, middle in 10-bit conversions: level with straight fingers, according to the default calibration.
+/// Readings of x, y, z, index and middle in 10-bit conversions. By the default calibration, the hand is level with straight fingers.
 const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
 /// The hand tilted 30° forward.
 const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
 const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 const PERIOD_MS: u32 = 10;
 
-/// A board in virtual time, with its received messages.
+/// A board in virtual time, and the messages received from it.
 struct Rig {
     board: LeftBoard<RamEeprom>,
     line: Line,
@@ -51,7 +51,7 @@ impl Rig {
         }
     }
 
-    /// Holds the hand still for this time.
+    /// Holds the hand still for this duration.
     fn hold(&mut self, conversions: [u16; 5], ms: u32) {
         for _ in 0..ms / PERIOD_MS {
             self.period();
@@ -91,7 +91,7 @@ fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
     let first = rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0];
     assert!(first);
     let states = rig.line.left();
-    // The change of the heading from between to neutral is sent immediately, in addition to the regular states.
+    // The heading changes from between to neutral. This state is sent immediately, in addition to the regular ones.
     assert_eq!(states.len(), 51);
     for (i, state) in states.iter().enumerate() {
         assert_eq!(state.sequence, i as u16);
@@ -105,7 +105,7 @@ fn a_change_is_sent_at_once() {
     rig.hold(LEVEL, 100);
     rig.hold(FORWARD, 500);
     rig.hold(LEVEL, 500);
-    // A separate `LeftHand` determines when the heading changes.
+    // A separate `LeftHand` determines when the heading must change.
     let mut hand = LeftHand::new(None, shared_words::TiltThresholds::DEFAULT, 0);
     let mut changes = Vec::new();
     for now_ms in (10..=1100).step_by(10) {
@@ -148,7 +148,7 @@ fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
     rig.send(&HostMessage::HelloRequest);
     rig.hold(LEVEL, 20);
     assert_eq!(rig.line.hellos(), boot_ids);
-    // Messages about models are for the other board.
+    // Only the other board accepts messages about models.
     rig.send(&HostMessage::ModelCommit { request: 3, crc32: 0 });
     assert!(rig.line.acks().is_empty());
 }
@@ -188,7 +188,7 @@ fn record_mode_sends_each_sample_as_it_is_judged_and_no_state() {
     assert_eq!(rig.line.statuses().last().unwrap().mode, Mode::Record);
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
     rig.hold(LEVEL, 40);
-    // The hand was processed all the time, and no state is missing in between.
+    // The hand was processed all the time, and no state is missing between the first and the last one.
     let first = rig.line.left()[0];
     assert_eq!((first.sequence, first.health), (before + 1, health::DEFAULT_CALIBRATION));
     assert_eq!(first.heading, Heading::Neutral);
@@ -317,7 +317,7 @@ fn the_light_guides_a_wearer_without_a_laptop() {
     let start = Start { fault: None, guided: true };
     let mut rig = Rig::started(RamEeprom::blank(), start);
     let mut lit = Vec::new();
-    // Three seconds to prepare, neutral and rest (1.3 s), three seconds to bend, and bend.
+    // The wearer has three seconds to prepare, 1.3 s for neutral and rest, and three seconds to bend the fingers before *bend*.
     for ms in 0..9000 / PERIOD_MS {
         rig.hold(if ms * PERIOD_MS < 4400 { LEVEL } else { BENT }, PERIOD_MS);
         lit.push(rig.board.light());

@@ -1,4 +1,4 @@
-//! Checks that a model is received completely or not at all, for any failure of line and power.
+//! Checks that a board receives a model either completely or not at all, whatever fails on the line or the power supply.
 
 mod common;
 
@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };
 
-/// A small model that depends on `seed`. Because of its text, its length is not a multiple of a piece.
+/// A small model that depends on `seed`. Its text makes its length differ from every multiple of a piece's length.
 fn blob(seed: i8) -> Vec<u8> {
     spec(seed, 3, 8)
 }
@@ -40,7 +40,7 @@ fn ask(store: &mut ModelStore<RamFlash>, request: &ModelRequest<'_>) -> (AckResu
     (last.result, last.next_offset)
 }
 
-/// Sends pieces starting at `offset`. Returns the first answer that is not `Ok`.
+/// Sends pieces, beginning at `offset`. Returns the first answer that is not `Ok`.
 fn pieces(store: &mut ModelStore<RamFlash>, blob: &[u8], mut offset: usize) -> Option<AckResult> {
     while offset < blob.len() {
         let end = (offset + MODEL_CHUNK_MAX).min(blob.len());
@@ -54,7 +54,7 @@ fn pieces(store: &mut ModelStore<RamFlash>, blob: &[u8], mut offset: usize) -> O
     None
 }
 
-/// Sends a complete model and returns the result.
+/// Sends a complete model and returns the board's result.
 fn send(store: &mut ModelStore<RamFlash>, blob: &[u8]) -> AckResult {
     match ask(store, &ModelRequest::Begin(begin(blob))) {
         (AckResult::Ok, 0) => {}
@@ -70,14 +70,14 @@ fn open(flash: RamFlash) -> (ModelStore<RamFlash>, Found) {
     ModelStore::open(flash, RUNS)
 }
 
-/// Returns the CRC of the model that a board with this flash would run.
+/// Returns the CRC of the model that a board would run from this flash.
 fn running(flash: RamFlash) -> Option<u32> {
     let (store, found) = open(flash);
     let place = found.model?;
     Some(crc32(&store.flash().mapped()[place.offset()..place.offset() + place.len]))
 }
 
-/// Flash of a board that has received these models, with a restart after each.
+/// Creates the flash of a board that has received these models and restarted after each.
 fn with(models: &[Vec<u8>]) -> RamFlash {
     models.iter().fold(RamFlash::blank(), |flash, blob| {
         let mut store = open(flash).0;
@@ -168,7 +168,7 @@ fn a_model_that_was_announced_as_another_one_is_not_kept() {
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&sent) };
     assert_eq!(ask(&mut store, &commit).0, AckResult::BadChecksum);
     assert_eq!(running(store.into_flash()), Some(crc32(&kept)));
-    // The announcement differs from the blob, whose hop this image does not support.
+    // The announcement differs from the blob. The blob's hop is one that this image does not support.
     let other_hop = spec(2, 3, 10);
     let mut store = open(flash).0;
     assert_eq!(send(&mut store, &other_hop), AckResult::ModelDoesNotFit);
@@ -193,7 +193,7 @@ fn a_damaged_slot_is_reported_and_the_other_one_is_used() {
 
 #[test]
 fn the_newer_model_is_found_across_the_end_of_the_sequence_numbers() {
-    // The header of the first slot is modified to a sequence number four before the end.
+    // The test changes the header of the first slot to a sequence number that is four before the maximum.
     let mut flash = with(&[blob(1)]);
     for (i, byte) in (u32::MAX - 3).to_le_bytes().into_iter().enumerate() {
         *flash.byte_mut(12 + i) = byte;
@@ -217,7 +217,7 @@ fn two_transfers_without_a_restart_leave_the_newer_one() {
     }
 }
 
-/// Returns the number of words and pages that a transfer processes.
+/// Returns the number of words and pages that a transfer changes.
 fn operations(blob: &[u8]) -> u32 {
     let mut store = open(RamFlash::blank()).0;
     assert_eq!(send(&mut store, blob), AckResult::Ok);
@@ -254,7 +254,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// After any number of power cuts, at any word and bit, a board that had a model still has one.
+    /// A board that had a model still has one after any number of power cuts, at any word and bit.
     #[test]
     fn a_board_that_had_a_model_has_one_after_any_number_of_power_cuts(
         cuts in prop::collection::vec((1u32..80, any::<u32>()), 1..12),

@@ -20,7 +20,7 @@ use shared_proto::message::{
 const SCALE: [f32; 3] = [0.01, 0.07, 0.014];
 const LABELS: [&str; 3] = ["idle", "a", "b"];
 
-/// A network of three axes with some weights.
+/// A network with three axes and some weights.
 fn blob() -> Vec<u8> {
     common::model(&LABELS, 3, 8, |i| (((i * 37) % 255) as i8).max(-127))
 }
@@ -40,7 +40,7 @@ struct Rig<'m> {
     number: u32,
 }
 
-/// Sequence number, board time, health and number of scores of a state.
+/// Returns sequence number, board time, health and number of scores of a state.
 type State = (u16, u32, u8, usize);
 
 impl<'m> Rig<'m> {
@@ -71,7 +71,7 @@ impl<'m> Rig<'m> {
         })
     }
 
-    /// Returns the first sample and the counts of each raw batch.
+    /// Returns the number of the first sample, and the counts, of each raw batch.
     fn raw(&self) -> Vec<(u32, Vec<i16>)> {
         self.line.all(|m| match m {
             BoardMessage::RawImu(raw) => {
@@ -171,7 +171,7 @@ fn record_mode_sends_each_sample_once_in_whole_hops() {
     assert_eq!(raw[0].1[..6], [5, 15, -5, 6, 18, -6]);
     assert!(raw.iter().all(|r| r.1.len() == 24));
     assert!(rig.states().is_empty());
-    // After a gap, the unfinished batch is discarded, and the next batch has no gap.
+    // After a gap, the unfinished batch is discarded. The next batch contains no gap.
     rig.line.clear();
     rig.number += 3;
     rig.samples(16);
@@ -204,7 +204,7 @@ fn idle_is_silent_but_for_statuses() {
     assert_eq!(status.mode, Mode::Idle);
 }
 
-/// Returns the state of the motor after `ms`.
+/// Returns the state of the motor after `ms` milliseconds.
 fn motor_after(rig: &mut Rig<'_>, ms: u32) -> u8 {
     rig.board.motor(rig.number * 10 + ms).percent
 }
@@ -306,7 +306,7 @@ proptest! {
         prop_assert_eq!(counted.output(), valued.output());
     }
 
-    /// Any intact message in any mode is answered at most once, and the board continues to work.
+    /// The board answers any intact message in any mode at most once, and continues to work.
     #[test]
     fn messages_of_any_content_leave_the_board_working(
         payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 1..40), 0..40),

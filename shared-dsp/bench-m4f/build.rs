@@ -1,4 +1,4 @@
-//! Converts the reference figures to bytes that the images include.
+//! Converts the reference figures to bytes, which the images include.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

@@ -1,4 +1,4 @@
-//! Converts samples to features as raw bytes, for comparison with another implementation.
+//! Converts samples to features as raw bytes, so that they can be compared with another implementation.
 //!
 //! Usage: `features_dump AXES < samples > features`. All values are little-endian f32.
 //! The input has `AXES` values per sample; the output has 13 · `AXES` values per hop.

@@ -1,4 +1,4 @@
-//! All computations of the boards, without pins, wire protocol, std or heap.
+//! All signal processing of the boards, without pins, wire protocol, std or heap.
 //!
 //! All arithmetic uses `f32` or integers in a fixed order, so that a laptop and a Cortex-M4F agree bit for bit.
 #![no_std]

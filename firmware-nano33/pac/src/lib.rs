@@ -1,9 +1,9 @@
-//! Replaces `nrf52840-pac` with only the items that nrf-softdevice 0.1.0 uses, without that crate's interrupt table.
+//! Replaces `nrf52840-pac`. It has only the items that nrf-softdevice 0.1.0 uses, and no interrupt table.
 //!
 //! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new one (`nrf-pac`).
 //! Each register crate defines a table `__INTERRUPTS`.
-//! Two tables either fail to link or, worse, link silently without the other crate's handlers.
-//! With this replacement the only table is embassy-nrf's.
+//! Two tables either fail to link or, worse, link silently without the handlers of one crate.
+//! With this replacement, the image contains only embassy-nrf's table.
 //! The two crates use different names for the SoftDevice's event interrupt: `SWI2_EGU2` here and `EGU2_SWI2` there.
 //! `memory.x` defines one as an alias of the other, and the test `nrf_vectors` checks this in the linked image.
 #![no_std]
@@ -13,7 +13,7 @@ pub use cortex_m_rt::interrupt;
 
 pub use self::Interrupt as interrupt;
 
-/// The interrupts that the SoftDevice reserves or triggers.
+/// The interrupts that the SoftDevice reserves for itself or triggers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(non_camel_case_types)]
 #[repr(u16)]
@@ -32,9 +32,9 @@ pub enum Interrupt {
     RNG = 13,
     /// AES block.
     ECB = 14,
-    /// AES-CCM encryption and Bluetooth address resolution.
+    /// Interrupt of AES-CCM encryption and Bluetooth address resolution.
     CCM_AAR = 15,
-    /// The SoftDevice has an event for the application.
+    /// Interrupt by which the SoftDevice reports an event to the application.
     SWI2_EGU2 = 22,
     /// The SoftDevice's own.
     SWI5_EGU5 = 25,

@@ -3,7 +3,7 @@
 //! The sensor starts only after it has received Bosch's configuration file, 8 KB of code for its internal processor.
 //! The file is part of the crate `bmi2` (Bosch's notice: `NOTICE-Bosch.txt`).
 //!
-//! **Counts and axes** are converted to those of a Rev1 board (see [`crate::Set`]): x = −y, y = −x, z = z.
+//! **Counts and axes** are converted to those of a Rev1 board (see [`crate::Set`]): x becomes −y, y becomes −x, and z stays.
 //! This relation follows from Arduino's libraries for the two sensors.
 //!
 //! **The magnetometer** on the same bus (a BMM150) is not used.
@@ -18,7 +18,7 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, read_into, set, triple, verify, write};
 use crate::{Batch, FIFO_SETS, Imu, ImuError, Set};
 
-/// I2C address on this board (SDO low).
+/// I2C address of the BMI270 on this board (SDO low).
 pub const ADDRESS: u8 = 0x68;
 pub(crate) const CHIP_ID: u8 = 0x00;
 /// Expected value of CHIP_ID.
@@ -63,9 +63,9 @@ const SETTINGS: [Setting; 6] = [
 
 /// Size of a set in bytes: gyroscope, then accelerometer.
 const SET_BYTES: usize = 12;
-/// Size of one transfer of the configuration file, in bytes.
+/// Size in bytes of one transfer of the configuration file.
 const PIECE: usize = 128;
-/// The gyroscope takes 45 ms to start.
+/// Time in which the gyroscope starts, 45 ms.
 const SETTLING_SETS: u8 = 10;
 /// Value in the FIFO that replaces a missing measurement.
 const NO_VALUE: i16 = i16::MIN;
@@ -106,13 +106,13 @@ impl<I: I2c> Bmi270<I> {
 
     /// Loads Bosch's configuration file into the sensor.
     async fn configure(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
-        // Leaves the power-save mode, in which only a few registers can be written.
+        // Ends the power-save mode, in which only a few registers can be written.
         set(&mut self.i2c, ADDRESS, &[(POWER_CONF, 0)]).await?;
         delay.delay_us(450).await;
         set(&mut self.i2c, ADDRESS, &[(INIT_CTRL, 0)]).await?;
         for (number, piece) in CONFIGURATION.chunks(PIECE).enumerate() {
             // The address counts 16-bit words.
-            // One register holds its lowest four bits, and the next register holds the rest.
+            // One register holds the lowest four bits of the address, and the next register holds the remaining bits.
             let word = number * PIECE / 2;
             write(&mut self.i2c, ADDRESS, &[INIT_ADDRESS, (word & 0xF) as u8, (word >> 4) as u8]).await?;
             // The data is copied to RAM, because the bus controller cannot read flash.
@@ -160,7 +160,7 @@ impl<I: I2c> Imu for Bmi270<I> {
         batch.clear();
         let [low, high] = read::<2, _>(&mut self.i2c, ADDRESS, FIFO_LENGTH).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & 0x3F]));
-        // This limit is far below the size of the sensor's own FIFO.
+        // `FIFO_SETS` is far below the capacity of the sensor's FIFO.
         if waiting / SET_BYTES > FIFO_SETS {
             batch.overrun = true;
             return set(&mut self.i2c, ADDRESS, &[(COMMAND, FIFO_FLUSH)]).await;
@@ -201,9 +201,9 @@ mod tests {
 
     #[test]
     fn a_set_reads_as_a_rev1_boards_does() {
-        // 1 g is 8192 counts of the BMI270 and 8197 of the Rev1 board; 100 deg/s are 1638 and 1429 counts.
+        // 1 g is 8192 counts of the BMI270 and 8197 of the Rev1 board; 100 deg/s is 1638 and 1429 counts.
         assert_eq!(rev1([1638, 0, -1638], [0, 8192, 8192]), [-8197, 0, 8197, 0, -1428, -1428]);
-        // At the ends of the range, values neither wrap nor change their sign.
+        // At the ends of the range, converted values neither wrap nor change their sign.
         assert_eq!(
             rev1([0, i16::MIN, i16::MAX], [i16::MIN, i16::MAX, i16::MIN])[..3],
             [i16::MIN, i16::MAX, i16::MIN]

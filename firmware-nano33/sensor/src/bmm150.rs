@@ -42,11 +42,11 @@ const SETTINGS: [Setting; 3] = [
     // The data sheet's preset "regular".
     (REPETITIONS_XY, 4),
     (REPETITIONS_Z, 7),
-    // Normal mode at 30 Hz, the highest rate of the chip.
+    // Normal mode with 30 measurements per second, the highest rate of the chip.
     (MODE, 7 << 3),
 ];
 
-/// Data-ready bit in the last word of the data.
+/// Bit in the last word of the data that shows that the data is ready.
 const READY: u8 = 1;
 /// Value that replaces a measurement beyond the converter's range.
 const OVERFLOW_XY: i16 = -4096;
@@ -57,7 +57,7 @@ const OVERFLOW_Z: i16 = -16384;
 pub struct Raw {
     /// x, y and z in counts of the chip.
     pub field: [i16; 3],
-    /// Resistance of the Hall plates in counts; 0 means not measured.
+    /// Resistance of the Hall plates in counts; 0 means that it was not measured.
     pub hall: u16,
 }
 
@@ -146,7 +146,7 @@ impl Trim {
             return None;
         }
         let (hall, reference) = (f32::from(raw.hall), f32::from(self.xyz1));
-        // Relative difference between the plates' resistance now and at trimming, with a linear and a quadratic term.
+        // Relative change of the plates' resistance since trimming, with a linear and a quadratic term.
         let drift = reference / hall - 1.0;
         let gain = 256.0 + f32::from(self.xy2) * drift * drift + f32::from(self.xy1) * drift;
         let flat = |counts: i16, slope: i8, offset: i8| {
@@ -263,7 +263,7 @@ mod tests {
 
     #[test]
     fn values_of_13_13_15_and_14_bits_are_cut_from_the_registers_with_their_signs() {
-        // The lowest bits of each register have other meanings.
+        // The lowest bits of each register carry other information.
         let bytes = [0x07 | 0x08, 0xFF, 0xF8 | 0x05, 0x7F, 0x01, 0x80, 0x03, 0xFF];
         let raw = Raw::from_bytes(bytes);
         assert_eq!(raw, Raw { field: [-31, 4095, -16384], hall: 0x3FC0 });

@@ -1,4 +1,4 @@
-//! Detects the sensor on the bus, because boards with the same name carry different sensors.
+//! Detects the type of sensor on the bus, because boards with the same name carry different sensors.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;

@@ -2,16 +2,15 @@
 //!
 //! The LSM9DS1's nominal 238 Hz may be wrong by some per cent and drifts with temperature.
 //! Its interrupt line is not connected on this board.
-//! However, each poll of the sensor's FIFO returns a known number of sets,
-//! and the newest set is less than one period old.
+//! However, each poll of the sensor's FIFO returns a known number of sets, and the newest set is less than one period old.
 //! [`Grid`] estimates the age of the newest set and advances the estimate with the board's clock.
 //! If the estimate leaves its limits, [`Grid`] corrects both the age and the estimated period.
 //! Because the phase between the two clocks drifts, the limits become narrow.
-//! After a second the error of the age is about equal to the jitter of the polls.
+//! After a second, the error of the estimated age is about equal to the jitter of the polls.
 //!
 //! A grid sample is a linear interpolation between the two neighbouring sets.
 //! For a movement of frequency f in Hz, the error is at most (π·f/238)²/2 of the amplitude: 0.2 % at 5 Hz.
-//! The sample is taken [`Grid::delay_us`] before its grid time, so that the later set has always arrived.
+//! The sample is taken [`Grid::delay_us`] before its grid time, so that the later of the two sets has always arrived.
 
 use crate::Set;
 
@@ -94,14 +93,14 @@ impl Grid {
         }
         let age_us = self.age_us + elapsed_us - sets * self.period_us;
         self.age_us = between(age_us, 0.0, self.period_us);
-        // An age below its bound means that sets come faster than estimated.
+        // If the age is below its bound, sets come faster than estimated.
         let error_us = age_us - self.age_us;
         let gain = if self.polls < 200 { 1.0 / 32.0 } else { 1.0 / 256.0 };
         self.period_us =
             between(self.period_us + error_us * gain, self.nominal_us * 0.9, self.nominal_us * 1.1);
     }
 
-    /// Returns the sample for this grid time, or `None` if the neighbouring sets are not stored.
+    /// Returns the sample at this grid time, or `None` if the neighbouring sets are not stored.
     pub fn sample(&self, grid_us: u64) -> Option<Set> {
         // Distance from the requested time to the newest set, in sets.
         let before_poll_us = self.last_poll_us as i64 - grid_us as i64;
@@ -112,7 +111,7 @@ impl Grid {
             return None;
         }
         let whole = behind as u32;
-        // In units of 1/16384, so that the product with a difference of two i16 values fits an i32.
+        // Weight of the later set in units of 1/16384, so that its product with a difference of two i16 values fits an i32.
         let part = ((behind - whole as f32) * 16384.0) as i32;
         let newer = &self.history[(self.count - 1 - whole) as usize % HISTORY];
         let older = &self.history[(self.count - 2 - whole) as usize % HISTORY];
@@ -125,7 +124,7 @@ impl Grid {
     }
 }
 
-/// `clamp`, without its complaint about bounds in the wrong order: that alone brings 15 kB of text about floats into an image.
+/// Replaces `clamp`, whose error message about bounds in the wrong order would add 15 kB of code that prints floats.
 fn between(value: f32, low: f32, high: f32) -> f32 {
     if value < low {
         low
@@ -142,7 +141,7 @@ mod tests {
 
     extern crate std;
 
-    /// Returns the worst error for a simulated sensor that outputs a ramp,
+    /// Returns the worst error for a simulated sensor that outputs a ramp.
     /// with a clock error of `ratio` and a jittered poll
     /// every 10 ms.
     fn worst_error_us(ratio: f64, jitter_us: u64) -> f64 {

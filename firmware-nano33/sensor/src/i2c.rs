@@ -4,7 +4,7 @@ use embedded_hal_async::i2c::I2c;
 
 use crate::ImuError;
 
-/// A register address and its value.
+/// The address of a register, and the value to write.
 pub(crate) type Setting = (u8, u8);
 
 pub(crate) async fn write<I: I2c>(i2c: &mut I, address: u8, bytes: &[u8]) -> Result<(), ImuError> {
@@ -38,7 +38,7 @@ pub(crate) async fn set<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting]) 
     Ok(())
 }
 
-/// Reads the settings back, because a lost write could silently leave a different measuring range in effect.
+/// Reads the settings back. A lost write could otherwise silently leave a different measuring range in effect.
 pub(crate) async fn verify<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting]) -> Result<(), ImuError> {
     for &(register, value) in settings {
         if read::<1, _>(i2c, address, register).await? != [value] {

@@ -37,9 +37,9 @@ pub const FIFO_SETS: usize = 32;
 pub struct Batch {
     sets: [Set; FIFO_SETS],
     len: usize,
-    /// The sensor's FIFO was full, and sets before the first one in this batch were lost.
+    /// True if the sensor's FIFO was full, so that sets before the first one in this batch were lost.
     pub overrun: bool,
-    /// The newest magnetometer values in counts, or zeros from a six-axis sensor.
+    /// The newest counts of the magnetometer, or zeros if the sensor has six axes.
     pub magnetometer: [i16; 3],
 }
 
@@ -76,9 +76,9 @@ impl Batch {
 /// Reason why a sensor cannot be used at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImuError {
-    /// No device answers at this I2C address.
+    /// No device answers at this address on the I2C bus.
     Missing(u8),
-    /// A different device answers, with this WHO_AM_I value.
+    /// A different device answers, whose WHO_AM_I register has this value.
     Unknown(u8),
     /// A transfer to this I2C address failed.
     Bus(u8),
@@ -90,7 +90,7 @@ pub enum ImuError {
 /// A motion sensor with a FIFO.
 #[allow(async_fn_in_trait, reason = "used with one executor, on one core")]
 pub trait Imu {
-    /// Number of sets per second in the data sheet. The true rate may differ by some per cent.
+    /// Number of sets per second according to the data sheet. The true rate may differ by some per cent.
     fn nominal_hz(&self) -> f32;
 
     /// Number of valid values per sample: 9, or 6 without a magnetometer.

@@ -1,6 +1,6 @@
 //! LSM6DS3TR-C: accelerometer and gyroscope of the XIAO nRF52840 Sense (ST DocID030071, application note AN5130).
 //!
-//! The count values are those of the LSM9DS1: 0.122 mg at ±4 g and 70 mdps at ±2000 deg/s.
+//! One count has the same value as in the LSM9DS1: 0.122 mg at ±4 g and 70 mdps at ±2000 deg/s.
 //! **The orientation of the chip's axes relative to the board's case is not known.**
 //! The driver returns the axes of the chip.
 //! The bundled model works with any orientation, because its recipe rotates the data of every hand into the hand's own
@@ -12,7 +12,7 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, read_into, set, triple, verify};
 use crate::{Batch, FIFO_SETS, Imu, ImuError};
 
-/// I2C address on this board (SA0 low).
+/// I2C address of the LSM6DS3 on this board (SA0 low).
 pub const ADDRESS: u8 = 0x6A;
 pub(crate) const WHO_AM_I: u8 = 0x0F;
 /// Expected value of WHO_AM_I.
@@ -27,7 +27,7 @@ const FIFO_STATUS1: u8 = 0x3A;
 const FIFO_DATA_OUT: u8 = 0x3E;
 
 const SOFTWARE_RESET: u8 = 1;
-/// 208 Hz, continuous mode: new data overwrites the oldest data in the FIFO.
+/// The FIFO runs at 208 Hz in continuous mode: new data overwrites the oldest data.
 const FIFO_CONTINUOUS: u8 = 0x2E;
 const FIFO_BYPASS: u8 = 0;
 /// Overrun bit in the second byte of the FIFO status.
@@ -48,7 +48,7 @@ const SETTINGS: [Setting; 5] = [
 
 /// Number of 16-bit words in a set: three of the gyroscope, then three of the accelerometer.
 const WORDS: usize = 6;
-/// The gyroscope takes 35 ms to start, and the sets of that time are discarded.
+/// The gyroscope takes 35 ms to start, and the sets from that time are discarded.
 const SETTLING_SETS: u8 = 8;
 
 /// Driver of the sensor on an I2C bus.
@@ -102,7 +102,7 @@ impl<I: I2c> Imu for Lsm6ds3<I> {
         batch.clear();
         let [low, high, pattern, _] = read::<4, _>(&mut self.i2c, ADDRESS, FIFO_STATUS1).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & FIFO_COUNT_HIGH]));
-        // If the FIFO is in step, its next word is the first word of a set.
+        // If the FIFO is aligned, its next word is the first word of a set.
         if high & FIFO_OVERRUN != 0 || waiting / WORDS > FIFO_SETS || usize::from(pattern) % WORDS != 0 {
             batch.overrun = true;
             return self.empty_fifo().await;
@@ -111,7 +111,7 @@ impl<I: I2c> Imu for Lsm6ds3<I> {
         if bytes.is_empty() {
             return Ok(());
         }
-        // During a burst read, the address stays at the FIFO's output register.
+        // During a burst read, the address stays at the output register of the FIFO.
         read_into(&mut self.i2c, ADDRESS, FIFO_DATA_OUT, bytes).await?;
         for set in bytes.chunks_exact(2 * WORDS) {
             let ([gx, gy, gz], [ax, ay, az]) = (triple(&set[..6]), triple(&set[6..]));

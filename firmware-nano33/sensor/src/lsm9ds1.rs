@@ -1,14 +1,14 @@
-//! LSM9DS1: accelerometer and gyroscope on one die, magnetometer on the other (ST DocID025715 Rev 2).
+//! LSM9DS1: the accelerometer and gyroscope are on one die and the magnetometer is on the other (ST DocID025715 Rev 2).
 //!
 //! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do,
 //! so that models and
 //! recordings can be exchanged.
 //! Figure 1 of the data sheet shows left-handed axes for the accelerometer and gyroscope.
-//! The magnetometer's axes are right-handed, and its X points opposite to the X of the other two sensors.
+//! The magnetometer's axes are right-handed, and its X axis points opposite to the X axis of the other two sensors.
 //! For a right-handed frame, negate X of both the accelerometer and the gyroscope.
 //!
 //! **Filters.** The low-pass cut-off frequency of the gyroscope is 76 Hz at 238 Hz and 38 Hz at 119 Hz.
-//! That of the accelerometer is 105 Hz at 238 Hz and 50 Hz at 119 Hz.
+//! The cut-off frequency of the accelerometer is 105 Hz at 238 Hz and 50 Hz at 119 Hz.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -16,7 +16,7 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, set, triple, verify};
 use crate::{Batch, Imu, ImuError};
 
-/// I2C address of the accelerometer and gyroscope on this board (SA0 high).
+/// I2C address of the die with accelerometer and gyroscope on this board (SA0 high).
 pub const ADDRESS_AG: u8 = 0x6B;
 /// I2C address of the magnetometer on this board.
 pub const ADDRESS_MAG: u8 = 0x1E;
@@ -27,7 +27,7 @@ const WHO_AM_I_MAG: u8 = 0x3D;
 
 const CTRL_REG1_G: u8 = 0x10;
 const STATUS: u8 = 0x17;
-/// The sensor has not finished its start-up or reset.
+/// The sensor has not finished its start-up or its reset.
 const BOOT_STATUS: u8 = 1 << 3;
 const OUT_X_G: u8 = 0x18;
 const CTRL_REG6_XL: u8 = 0x20;
@@ -42,7 +42,7 @@ const CTRL_REG3_M: u8 = 0x22;
 const CTRL_REG4_M: u8 = 0x23;
 const CTRL_REG5_M: u8 = 0x24;
 const OUT_X_L_M: u8 = 0x28;
-/// The magnetometer increments the register address only if this bit is set.
+/// The magnetometer increments the register address only if this bit of the address is set.
 const MAG_AUTO_INCREMENT: u8 = 0x80;
 
 const FIFO_CONTINUOUS: u8 = 0b110 << 5;
@@ -51,13 +51,12 @@ const FIFO_OVERRUN: u8 = 1 << 6;
 const FIFO_COUNT: u8 = 0x3F;
 
 /// Number of sets to discard after a start: the first one after a change of the FIFO mode,
-/// and four while the gyroscope's
-/// filter settles (data sheet, table 12).
+/// and four while the filter of the gyroscope settles (data sheet, table 12).
 const SETTLING_SETS: u8 = 5;
 
 /// Settings of the magnetometer.
 const MAG: [Setting; 5] = [
-    // Temperature compensation, ultra-high-performance mode for X and Y, 80 Hz.
+    // Magnetometer: temperature compensation, ultra-high-performance mode for X and Y, 80 Hz.
     (CTRL_REG1_M, 0x80 | (3 << 5) | (7 << 2)),
     // ±4 gauss.
     (CTRL_REG2_M, 0),
@@ -72,7 +71,7 @@ const MAG: [Setting; 5] = [
 /// Range of the accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AccelRange {
-    /// ±2 g, as in Edge Impulse's firmware. Recordings made with that firmware clip at ±19.61 m/s².
+    /// Range ±2 g, as in Edge Impulse's firmware. Recordings made with that firmware clip at ±19.61 m/s².
     G2,
     /// ±4 g.
     #[default]
@@ -89,13 +88,13 @@ pub enum Rate {
     Hz238,
 }
 
-/// Conversion factors of the gyroscope and magnetometer counts.
+/// Conversion factors of the counts of gyroscope and magnetometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
-    /// The sensitivities of the data sheet.
+    /// Uses the sensitivities from the data sheet.
     #[default]
     DataSheet,
-    /// Full scale / 32768, as in Arduino's library. With these factors gyroscope and magnetometer read 12.8 % too low.
+    /// Uses full scale / 32768, as in Arduino's library. Gyroscope and magnetometer then read 12.8 % too low.
     /// Models trained on recordings made with that library require these factors.
     Arduino,
 }
@@ -107,7 +106,7 @@ pub struct Config {
     pub accel: AccelRange,
     /// Sets per second.
     pub rate: Rate,
-    /// Conversion factors of the counts.
+    /// Conversion factors of the sensor's counts.
     pub scale: Scale,
 }
 
@@ -215,7 +214,7 @@ impl<I: I2c> Imu for Lsm9ds1<I> {
 
     async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
         self.identify().await?;
-        // Software reset of both dies with address auto-increment enabled, then the 10 ms delay of Arduino's library.
+        // Resets both dies by software, enables address auto-increment, and waits 10 ms as Arduino's library does.
         set(&mut self.i2c, ADDRESS_AG, &[(CTRL_REG8, 0x05)]).await?;
         set(&mut self.i2c, ADDRESS_MAG, &[(CTRL_REG2_M, 0x0C)]).await?;
         delay.delay_ms(10).await;

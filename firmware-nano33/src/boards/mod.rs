@@ -23,7 +23,7 @@ use embassy_nrf::peripherals::{USBD, WDT};
 use crate::bus::SensorBus;
 use crate::{uart, vibrate, watch};
 
-/// Names of the board in its USB descriptors.
+/// Names of the board in the USB descriptors.
 pub struct UsbNames {
     /// USB vendor and product ids, which operating systems use to select drivers and rules.
     pub ids: (u16, u16),
@@ -48,18 +48,18 @@ pub struct Parts {
     pub watchdog: Peri<'static, WDT>,
     /// USB.
     pub usbd: Peri<'static, USBD>,
-    /// The flash controller; the radio's otherwise.
+    /// The flash controller, which the radio's stack owns instead in images with Bluetooth.
     #[cfg(not(feature = "radio"))]
     pub flash: Peri<'static, embassy_nrf::peripherals::NVMC>,
-    /// Random numbers; the radio's otherwise.
+    /// The random number generator, which the radio's stack owns instead in images with Bluetooth.
     #[cfg(not(feature = "radio"))]
     pub random: Peri<'static, embassy_nrf::peripherals::RNG>,
-    /// What the linked-in radio takes.
+    /// Peripherals that the linked-in radio stack owns.
     #[cfg(feature = "trouble")]
     pub radio: nano33_radio::trouble::Parts,
 }
 
-/// What the linked-in radio takes of the chip: the same on each board.
+/// Peripherals that the linked-in radio stack owns, which are the same on each board.
 #[cfg(feature = "trouble")]
 macro_rules! radio_parts {
     ($p:ident) => {
@@ -94,7 +94,7 @@ macro_rules! radio_parts {
 #[cfg(feature = "trouble")]
 use radio_parts;
 
-/// A light that is off; low is on.
+/// An LED that is off; a low pin switches it on.
 fn off(pin: Peri<'static, AnyPin>) -> Output<'static> {
     Output::new(pin, Level::High, OutputDrive::Standard)
 }

@@ -19,7 +19,7 @@ pub const START_MS: u64 = 50;
 /// Arduino's ids for a sketch on this board, which Arduino's drivers and udev rules recognise.
 pub const USB: UsbNames = UsbNames { ids: (0x2341, 0x805A), product: "bimanual right hand" };
 
-/// Returns the revision of the board, which follows from its sensor.
+/// Returns the revision of the board, which the sensor reveals.
 pub fn kind(sensor: Sensor) -> Board {
     if sensor == Sensor::Bmi270 { Board::RightNano33Rev2 } else { Board::RightNano33 }
 }
@@ -34,7 +34,7 @@ pub fn parts(p: Peripherals) -> Parts {
                 scl: p.P0_15.into(),
                 power: p.P0_22.into(),
                 // This pin must be high, because it supplies the pull-ups of the bus.
-                // It is also SWO, which must stay disabled.
+                // The pin is also SWO, which must stay disabled.
                 pull_ups: Some(p.P1_00.into()),
             },
         ),
@@ -65,9 +65,8 @@ pub fn parts(p: Peripherals) -> Parts {
 pub fn begin() {
     // If the slow crystal started late, its interrupt would be enabled without a handler that clears it.
     const CLOCK_INTENCLR: *mut u32 = 0x4000_0308 as _;
-    // UARTE0 writes received data to a byte of RAM that belongs to this image,
-    // and its pins can be changed only while it is
-    // off.
+    // UARTE0 writes received data to a byte of RAM that this image uses for itself,
+    // and its pins can be changed only while it is off.
     const UARTE0_STOPRX: *mut u32 = 0x4000_2004 as _;
     const UARTE0_RXTO: *mut u32 = 0x4000_2144 as _;
     const UARTE0_ENABLE: *mut u32 = 0x4000_2500 as _;
@@ -90,8 +89,8 @@ pub fn begin() {
 
 /// Restarts into the stock bootloader, which waits for an upload.
 ///
-/// It never feeds a watchdog, and a soft reset does not stop one: an upload of 6 s would end after 2. So the watchdog
-/// itself does the reset, which stops it, and the bootloader's own mark of a double press says that it shall stay.
+/// The bootloader never feeds a watchdog, and a soft reset does not stop one, so an upload of 6 s would end after 2 s. The
+/// watchdog therefore performs the reset, which stops it. The bootloader's mark of a double press keeps it running.
 #[cfg(not(feature = "ble"))]
 pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESS: *mut u32 = 0x2000_7FFC as _;
@@ -100,9 +99,9 @@ pub fn enter_bootloader() -> ! {
     cortex_m::interrupt::disable();
     // This disconnects the USB port immediately for the laptop.
     embassy_nrf::pac::USBD.usbpullup().write(|w| w.set_connect(false));
-    // Arduino's bootloaders check this value after a soft reset.
+    // Arduino's bootloaders look for this value after a soft reset.
     embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(STAY));
-    // SAFETY: no code of this run continues, so the old content of this word is not needed.
+    // SAFETY: no code of this run continues, so this word's previous content is not needed.
     unsafe { DOUBLE_PRESS.write_volatile(DOUBLE_PRESSED) };
     if embassy_nrf::pac::WDT.runstatus().read().0 != 0 {
         loop {

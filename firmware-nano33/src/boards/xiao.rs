@@ -18,7 +18,7 @@ pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
 /// Time in milliseconds from power-up until the sensor answers: 35 ms and a margin.
 pub const START_MS: u64 = 50;
 
-/// Seeed's ids for a program on this board.
+/// Seeed's USB ids for a program on this board.
 pub const USB: UsbNames = UsbNames { ids: (0x2886, 0x8045), product: "bimanual right hand (XIAO)" };
 
 /// Whatever its sensor.
@@ -35,7 +35,7 @@ pub fn parts(p: Peripherals) -> Parts {
                 sda: p.P0_07.into(),
                 scl: p.P0_27.into(),
                 power: p.P1_08.into(),
-                // The pull-ups are connected to the sensor's supply.
+                // The pull-ups are connected to the power supply of the sensor.
                 pull_ups: None,
             },
         ),
@@ -63,13 +63,13 @@ pub fn parts(p: Peripherals) -> Parts {
     }
 }
 
-/// Does nothing, because the UF2 bootloader leaves no disturbing peripheral enabled.
+/// Does nothing, because the UF2 bootloader leaves no peripheral enabled that would disturb this program.
 pub fn begin() {}
 
-/// Restarts into the UF2 bootloader, which appears as a USB drive and feeds a running watchdog.
+/// Restarts into the UF2 bootloader, which shows a USB drive and feeds a watchdog that is running.
 pub fn enter_bootloader() -> ! {
     const UF2: u8 = 0x57;
-    // SAFETY: plain calls of the enabled SoftDevice, which owns the register.
+    // SAFETY: these are plain calls of the enabled SoftDevice, which owns the register.
     #[cfg(feature = "ble")]
     unsafe {
         nrf_softdevice::raw::sd_power_gpregret_clr(0, 0xFF);

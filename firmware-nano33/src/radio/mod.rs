@@ -1,5 +1,5 @@
-//! Bluetooth, whose service and habits are described in the crate `nano33_radio`. Two stacks can carry it, chosen by feature:
-//! Nordic's S140 (`ble`), known only to `softdevice`, and the one that is linked in (`trouble`), known only to that crate. Each offers
+//! Bluetooth; the crate `nano33_radio` describes its service and its rules. A feature selects one of two stacks: Nordic's S140
+//! (`ble`), which only `softdevice` uses, or the linked-in stack (`trouble`), which only that crate uses. Each provides
 //! [`Radio`] (`start`, `random`, `flash`, `spawn`), [`RadioFlash`] and [`cable`].
 
 #[cfg(feature = "ble")]

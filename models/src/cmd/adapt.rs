@@ -1,4 +1,4 @@
-//! `models adapt`: adapts a model to one person with a few recordings.
+//! `models adapt`: teaches a model one more person from a few recordings.
 
 use std::path::PathBuf;
 

@@ -77,12 +77,12 @@ impl Cmd {
     }
 }
 
-/// The results of one model for all data, for each setting of the decision.
+/// The results of one model on all data, for each setting of the decision.
 #[derive(Clone, Default)]
 struct Outcome {
     /// Of daily movement.
     daily: Vec<Tally>,
-    /// Results for the gestures in the folder.
+    /// Results on the gestures in the folder.
     gestures: Vec<Tally>,
 }
 
@@ -196,7 +196,7 @@ impl Events {
         }
     }
 
-    /// Trains a model with half of the people and tests it on the other half, before and after three examples.
+    /// Trains a model on half of the people and tests it on the other half, before and after three examples.
     fn one(
         &self,
         learned: &Dataset,
@@ -290,7 +290,7 @@ fn three_of_each<'a>(
     (examples, rest)
 }
 
-/// Returns the 95 % confidence interval of the mean for a count (Byar's approximation for Poisson).
+/// Returns the 95 % confidence interval of the mean of a count (Byar's approximation for Poisson).
 fn interval(count: usize) -> (f64, f64) {
     let bound = |n: f64, z: f64| {
         if n == 0.0 { 0.0 } else { n * (1.0 - 1.0 / (9.0 * n) + z / (3.0 * n.sqrt())).powi(3) }

@@ -1,4 +1,4 @@
-//! `models eval`: tests a model on a folder. The last line of its output is the accuracy per recording.
+//! `models eval`: tests a model on a folder. The last line of output is the accuracy per recording.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! The commands, and their common parts.
+//! The commands of the program, and the parts that they share.
 
 pub mod adapt;
 pub mod card;
@@ -41,7 +41,7 @@ impl ValueEnum for RecipeName {
     }
 }
 
-/// Options for a shorter training with a worse result.
+/// Options that shorten the training and make the result worse.
 #[derive(Args)]
 pub struct Short {
     /// Number of training steps of recipe aligned, for quick experiments [default: that of the recipe]
@@ -55,7 +55,7 @@ impl Short {
         recipe.shortened(self.steps)
     }
 
-    /// Returns recipe aligned, whose settings can be changed, with the requested number of steps.
+    /// Returns recipe aligned with the requested number of steps. The caller can change its settings.
     pub fn aligned(&self) -> Aligned {
         ALIGNED.with_steps(self.steps)
     }
@@ -76,7 +76,7 @@ impl Axes {
     }
 }
 
-/// The recordings and the training options.
+/// The recordings, and the options for training.
 #[derive(Args)]
 pub struct Source {
     /// Folder with <label>/<person>__<n>.csv
@@ -124,7 +124,7 @@ pub fn read(folder: &Path, axes: Option<usize>) -> anyhow::Result<Dataset> {
     read_where(folder, axes, |_| true)
 }
 
-/// Like [`read`], for selected people only.
+/// Like [`read`], but only for selected people.
 fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool) -> anyhow::Result<Dataset> {
     let dataset = Dataset::read_where(folder, axes, |_, name| person(name))?;
     println!(

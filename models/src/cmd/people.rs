@@ -1,4 +1,4 @@
-//! `models people`: holds out each person in turn, and tests random splits and shown examples.
+//! `models people`: holds out each person in turn. It also tests random splits and models that were shown examples.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -34,7 +34,7 @@ pub struct Cmd {
     short: super::Short,
 }
 
-/// A folder and the labels used; an empty list means all.
+/// A folder and the labels to use; an empty list means all labels.
 #[derive(Clone, Debug)]
 pub struct Set {
     pub folder: PathBuf,
@@ -64,7 +64,7 @@ impl Set {
         })?)
     }
 
-    /// Returns the folder's people, at least two, and a line of text that describes them.
+    /// Returns the folder's people (at least two), and a line of text that describes them.
     pub fn people(&self, axes: Option<usize>) -> anyhow::Result<(Vec<String>, String)> {
         let known = self.read(axes)?;
         let people = known.people();
@@ -85,7 +85,7 @@ impl Set {
     }
 }
 
-/// Returns the recipes to compare: the named ones, or the paper's and the best.
+/// Returns the recipes to compare: those named by the user, or the paper's and the best.
 pub fn recipes(names: &[RecipeName], short: &super::Short) -> Vec<Box<dyn Recipe>> {
     let usual = [RecipeName(&PAPER), RecipeName(&ALIGNED)];
     let names = if names.is_empty() { &usual } else { names };

@@ -1,4 +1,4 @@
-//! `models sizes`: what a smaller network costs in accuracy.
+//! `models sizes`: measures how much accuracy a smaller network loses.
 
 use std::time::Instant;
 
@@ -29,7 +29,7 @@ pub struct Cmd {
     short: super::Short,
 }
 
-/// Weights of an int8 network that are 0: they cost flash, and products.
+/// Number of weights of an int8 network that are 0, which still need flash and multiplications.
 fn zeros_of(tflite: &[u8]) -> anyhow::Result<usize> {
     let Network::Int8(layers) = read(tflite)? else { anyhow::bail!("this is no int8 network") };
     let weights = layers.iter().flat_map(|layer| layer.weights.iter().flatten());

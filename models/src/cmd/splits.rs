@@ -1,4 +1,4 @@
-//! `models splits`: trains and tests on several random splits by recording, to estimate the uncertainty of one figure.
+//! `models splits`: trains and tests on several random splits by recording. This shows how uncertain one figure is.
 
 use clap::Args;
 use models::train::{Job, held_out, train};

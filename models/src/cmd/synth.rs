@@ -1,4 +1,4 @@
-//! `models synth`: recordings of simulated wearers.
+//! `models synth`: generates recordings of simulated wearers.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! `models tempo`: plays recordings of held-out people slower and faster.
+//! `models tempo`: plays the recordings of held-out people slower and faster.
 
 use std::time::Instant;
 
@@ -29,7 +29,7 @@ pub struct Cmd {
     short: super::Short,
 }
 
-/// Only recordings with this many strokes per second count.
+/// Only recordings with this number of strokes per second count.
 const STROKES_HZ: std::ops::RangeInclusive<f64> = 0.5..=5.0;
 
 impl Cmd {
@@ -52,7 +52,7 @@ impl Cmd {
             let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
             let all = set.read(axes)?;
             let range = range_of(all.items.iter().map(|item| &item.recording));
-            // The played recordings of each tempo.
+            // The recordings as played at each tempo.
             let played: Vec<Dataset> = self.tempo.iter().map(|factor| at(&all, *factor, range)).collect();
             let jobs: Vec<(&String, u64)> =
                 people.iter().flat_map(|person| (1..=self.seeds).map(move |seed| (person, seed))).collect();
@@ -100,7 +100,7 @@ impl Cmd {
 /// Returns the gestures of a data set at another tempo, omitting tempos that hands do not have.
 fn at(all: &Dataset, factor: f64, range: f64) -> Dataset {
     let gestures = all.filtered(|item| !is_rest(&item.label));
-    // The movements of `other` are so strong that their largest values are the sensor's limits.
+    // The strongest movements of `other` reach the limits of the sensor.
     let items = gestures.items.par_iter().filter_map(|item| {
         let hz = strokes_per_second(&item.recording)?;
         STROKES_HZ.contains(&(hz * factor)).then(|| {

@@ -85,7 +85,7 @@ impl Cmd {
         }
         let list = self.out.join(format!("{}.test.txt", self.name));
         if test.is_empty() {
-            // With the test list of an earlier model, this model would be tested on its own training data.
+            // If the test list of an earlier model remained, this model would be tested on its own training data.
             match std::fs::remove_file(&list) {
                 Ok(()) => println!("removed {}: it was of the model that was here before", list.display()),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}

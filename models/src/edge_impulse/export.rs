@@ -1,4 +1,4 @@
-//! Reads the labels of an export: `info.labels` at its top, `structured_labels.labels` beside its files.
+//! Reads the labels of an export: `info.labels` at its top, and `structured_labels.labels` beside its files.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::labels;
 
-/// The separate parts of an export.
+/// The two parts of an export, which are kept apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Part {
     /// To learn from.
@@ -37,10 +37,10 @@ pub struct Cut {
     pub end: usize,
 }
 
-/// The labels of a file in an export.
+/// The labels that an export gives a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Labelled {
-    /// The complete file has this canonical label.
+    /// The complete file has this label, given by its standard name.
     As(String),
     /// The file contains several labels in sequence.
     Cuts(Vec<Cut>),
@@ -51,9 +51,9 @@ pub enum Labelled {
 /// The labels of all files in an export. Each label file is read once.
 #[derive(Debug, Default)]
 pub struct Labels {
-    /// Contents of `info.labels` by folder, and then by the path below the folder.
+    /// Contents of `info.labels`, first by folder and then by the path below the folder.
     infos: HashMap<PathBuf, Option<HashMap<String, Entry>>>,
-    /// Contents of `structured_labels.labels` by folder, and then by file name.
+    /// Contents of `structured_labels.labels`, first by folder and then by file name.
     structured: HashMap<PathBuf, HashMap<String, Vec<Cut>>>,
 }
 
@@ -99,11 +99,11 @@ fn entry(value: &Value) -> Option<(String, Entry)> {
 }
 
 impl Labels {
-    /// Returns the labels and the part of a file, or nothing if there is no export or it does not list the file.
+    /// Returns the labels and the part of a file, or `None` if there is no export or it does not list the file.
     pub fn of(&mut self, file: &Path) -> (Option<Labelled>, Option<Part>) {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let folder = file.parent().unwrap_or(Path::new(""));
-        // The last parent folder whose name is that of a part.
+        // The last parent folder that has the name of a part.
         let by_folder =
             file.ancestors().skip(1).take(2).find_map(|folder| part(&folder.file_name()?.to_string_lossy()));
         let structured = self.structured.entry(folder.to_owned()).or_insert_with(|| structured(folder));

@@ -1,8 +1,8 @@
 //! Reads recordings in Edge Impulse's data acquisition format, JSON or CBOR.
 //!
-//! Such a file is one object with `payload.interval_ms`,
-//! `payload.sensors` (names and units) and `payload.values` (one row per sample).
-//! Signatures are not checked, because they identify the sender and do not prove validity.
+//! Such a file is one object with `payload.interval_ms`, `payload.sensors` (names and units)
+//! and `payload.values` (one row per sample).
+//! Signatures are not checked, because they identify the sender but do not show that the data is valid.
 //! Columns and units are detected as in CSV files ([`crate::sheet`]).
 //! Unusable data causes an error with the file, the place in it, and a remedy.
 //! [`export`] reads the labels of an export.
@@ -27,7 +27,7 @@ pub struct Imported {
     pub notes: Vec<String>,
 }
 
-/// The reason why a file cannot be imported, with the place and a remedy.
+/// The reason why a file cannot be imported, with the place in the file and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// The file cannot be read.
@@ -49,14 +49,14 @@ pub enum ImportError {
     /// The columns or units of the file cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A part is missing or invalid.
+    /// A part of the object is missing or invalid.
     #[error("{file}, {place}: {what}")]
     Content {
         /// The file.
         file: PathBuf,
-        /// Place in the object, such as `payload.values[3][0]`.
+        /// Place of the problem in the object, such as `payload.values[3][0]`.
         place: String,
-        /// The problem at this place and a remedy.
+        /// The problem at this place, and a remedy.
         what: String,
     },
 }
@@ -124,7 +124,7 @@ pub fn read(file: &Path, reading: &Reading) -> Result<Imported, ImportError> {
     parse(file, &bytes, reading)
 }
 
-/// Like [`read`], but from memory: JSON if the data begins like an object, otherwise CBOR.
+/// Like [`read`], but reads from memory: JSON if the data begins like an object, otherwise CBOR.
 /// `file` is used only in errors.
 ///
 /// # Errors
@@ -209,7 +209,7 @@ fn names(reader: &Reader<'_>, sensors: &[Value]) -> Result<Vec<String>, ImportEr
     sensors.iter().enumerate().map(one).collect()
 }
 
-/// Returns the factor to our unit for each column used (1 if undeclared), and the sensors whose units are declared.
+/// Returns the factor to our unit for each used column (1 if undeclared), and the sensors whose units are declared.
 fn factors(
     reader: &Reader<'_>,
     sensors: &[Value],
@@ -229,7 +229,7 @@ fn factors(
                 Some(1.0)
             }
             Some(factor) => Some(factor),
-            // Default names written by the data forwarder.
+            // Default names that the data forwarder writes.
             None if matches!(spelled.as_str(), "" | "n/a" | "na" | "none" | "-") => {
                 declared[sensor as usize] = false;
                 Some(1.0)
@@ -373,7 +373,7 @@ mod tests {
             assert!(close(&judged.recording, &right.recording));
             assert_eq!(judged.notes, ["the accelerometer is in g, by gravity"]);
         }
-        // The user's options have priority over the file.
+        // The user's options override the file.
         let told = Reading { units: "g".parse().unwrap(), ..GUESS };
         let root = file(acc_in("m/s2"), waved(g)).to_string();
         let told = parse(Path::new("x.json"), root.as_bytes(), &told).unwrap();

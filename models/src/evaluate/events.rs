@@ -2,10 +2,9 @@
 //! and compares the events with the labels.
 //!
 //! The hand rests between two recordings.
-//! It holds the final posture of the first, turns smoothly to the initial posture of the next, and holds that,
-//! with the noise of a held hand.
-//! A recording counts as one performed gesture, however often it repeats the shape,
-//! and its first sample counts as the onset.
+//! The hand holds the final posture of the first recording, turns smoothly to the initial posture of the next,
+//! and holds that one. The noise is that of a held hand.
+//! A recording counts as one performed gesture, however often it repeats the shape. Its first sample counts as the onset.
 //! People actually begin a little later, so delays are overestimated.
 
 use rand::Rng;
@@ -28,9 +27,9 @@ use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 /// Rest between two recordings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pause {
-    /// Still in the last posture, in s: between these.
+    /// Range of times in s during which the hand holds the last posture.
     before_s: (f64, f64),
-    /// Turning into the next one.
+    /// Time in s during which the hand turns to the next posture.
     turn_s: f64,
     /// Still in that.
     after_s: (f64, f64),
@@ -40,7 +39,7 @@ impl Pause {
     /// 1.4 to 2.5 s.
     pub const USUAL: Self = Self { before_s: (0.3, 0.8), turn_s: 0.4, after_s: (0.7, 1.3) };
 
-    /// Of this length in s: the hand turns for up to 0.4 s of it, and is still before and after for as long.
+    /// Length of the rest in s. For up to 0.4 s of it the hand turns, and before and after it is still for equal times.
     pub fn of(seconds: f64) -> Self {
         let turn_s = 0.4f64.min(0.6 * seconds);
         let still_s = 0.5 * (seconds - turn_s);
@@ -52,7 +51,7 @@ fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
     if low < high { rng.random_range(low..high) } else { low }
 }
 
-/// For this long after its end an event still belongs to a recording: a decision may wait for the hand to rest.
+/// For this long after its end, a recording can still have an event, because a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
 /// The position of a recording in a joined one: samples from `start` up to `end`, exclusive.
@@ -60,11 +59,11 @@ const TAIL_S: f64 = 0.9;
 pub struct Annotation {
     /// First sample.
     pub start: usize,
-    /// Index after the last sample.
+    /// Index after the last sample of the recording.
     pub end: usize,
     /// Its label.
     pub label: String,
-    /// Name in the data set.
+    /// Name of the recording in the data set.
     pub name: String,
 }
 
@@ -80,12 +79,12 @@ pub struct AnnotatedRecording {
 }
 
 impl AnnotatedRecording {
-    /// Joins recordings in an order that depends on the seed.
+    /// Joins recordings in an order that the seed determines.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
         Self::joined_by(items, axes, Pause::USUAL, seed)
     }
 
-    /// The same with another rest between them.
+    /// Like [`Self::joined`], but with another rest between recordings.
     pub fn joined_by(items: &[&Item], axes: usize, pause: Pause, seed: u64) -> Self {
         use rand::seq::SliceRandom;
         let mut rng = RandomStream::Order.of(seed);
@@ -126,7 +125,7 @@ impl AnnotatedRecording {
         Self { axes: recording.axes(), values, annotations: vec![annotation] }
     }
 
-    /// Returns the same recording with the first axes only.
+    /// Returns the same recording with only its first axes.
     pub fn with_axes(mut self, axes: usize) -> Self {
         if axes < self.axes {
             let rows = self.values.chunks_exact(self.axes);
@@ -151,19 +150,19 @@ impl AnnotatedRecording {
         posture(&rows[rows.len().saturating_sub(POSTURE)..])
     }
 
-    /// Rests, and turns from the posture at the end into the given one.
+    /// Appends a rest, in which the hand turns from its current posture to the given one.
     fn rest_until(&mut self, next: &[f64], pause: Pause, rng: &mut ChaCha8Rng) {
         let turn_s = pause.turn_s;
         let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
         let before = between(pause.before_s, rng);
         let seconds = before + turn_s + between(pause.after_s, rng);
-        // A held hand is not still: between a table and a tense arm.
+        // Noise of a held hand, which is between that of a table and that of a tense arm.
         let quiet: f64 = rng.random_range(-1.5f64..0.7).exp();
         let turn = turn_rate_deg(&last, next);
         for n in 0..(seconds * RATE_HZ) as usize {
             let part = ((n as f64 / RATE_HZ - before) / turn_s).clamp(0.0, 1.0);
             let moved = part * part * part * (10.0 + part * (6.0 * part - 15.0));
-            // Derivative of the above per second.
+            // Change of the noise above per second.
             let pace = 30.0 * (part * (1.0 - part)).powi(2) / turn_s;
             for axis in 0..self.axes {
                 let noise: f64 = StandardNormal.sample(rng);
@@ -181,14 +180,14 @@ impl AnnotatedRecording {
 /// Number of samples that are averaged for a posture: 0.15 s.
 pub(crate) const POSTURE: usize = 15;
 
-/// Returns the mean of some samples, which is the measurement in that posture.
+/// Returns the mean of some samples, which is the sensor's reading in that posture.
 pub(crate) fn posture(rows: &[&[f32]]) -> Vec<f64> {
     let axes = rows.first().map_or(0, |row| row.len());
     let count = rows.len().max(1) as f64;
     (0..axes).map(|axis| rows.iter().map(|row| f64::from(row[axis])).sum::<f64>() / count).collect()
 }
 
-/// Returns the rotation between two postures, according to their accelerometers, in deg about each axis.
+/// Returns the rotation between two postures, computed from their accelerometer values, in deg about each axis.
 fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
     let length = |v: &[f64]| v[..3].iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-6);
     let (a, b) = (length(from), length(to));
@@ -200,16 +199,16 @@ fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
     axis.map(|x| if sine > 1e-9 { x / sine * angle } else { 0.0 })
 }
 
-/// The results for annotated recordings.
+/// The results of playing annotated recordings.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tally {
     /// Gestures performed.
     pub performed: usize,
-    /// Number of recordings with exactly one event of the correct label.
+    /// Number of recordings that caused exactly one event, with the correct label.
     pub right: usize,
     /// No event came.
     pub missed: usize,
-    /// Number of recordings with one event of another label.
+    /// Number of recordings that caused one event with another label.
     pub wrong: usize,
     /// Several events came.
     pub several: usize,
@@ -219,11 +218,11 @@ pub struct Tally {
     pub rest_events: usize,
     /// Number of events between recordings.
     pub stray_events: usize,
-    /// Duration of recordings without gestures, in s.
+    /// Total duration of recordings without gestures, in s.
     pub rest_s: f64,
     /// Delays of correct events from onset to event, in s.
     pub delays_s: Vec<f64>,
-    /// Names of misclassified recordings, with their results.
+    /// Names of incorrectly recognised recordings, with their results.
     pub errors: Vec<String>,
 }
 
@@ -243,19 +242,19 @@ impl Tally {
         self.errors.extend(other.errors.iter().cloned());
     }
 
-    /// Percentage of performed gestures with exactly one correct event.
+    /// Percentage of performed gestures that caused exactly one correct event.
     pub fn right_per_cent(&self) -> f64 {
         100.0 * self.right as f64 / self.performed.max(1) as f64
     }
 
-    /// Median delay of correct events in s, or `None` without any.
+    /// Median delay of correct events in s, or `None` if there are none.
     pub fn median_delay_s(&self) -> Option<f64> {
         let mut delays = self.delays_s.clone();
         delays.sort_by(f64::total_cmp);
         delays.get(delays.len() / 2).copied()
     }
 
-    /// [`Self::median_delay_s`] as a text for users.
+    /// Returns [`Self::median_delay_s`] as text for users.
     pub fn median_delay(&self) -> String {
         self.median_delay_s().map_or_else(|| "–".to_owned(), |delay| format!("{delay:.2}"))
     }
@@ -270,7 +269,7 @@ impl Tally {
         let tail = (TAIL_S * RATE_HZ) as usize;
         let mut counted = 0;
         for (index, annotation) in recording.annotations.iter().enumerate() {
-            // At most until the next recording begins.
+            // The period ends at the latest when the next recording begins.
             let next = recording.annotations.get(index + 1).map_or(usize::MAX, |next| next.start);
             let until = (annotation.end + tail).min(next);
             let mine: Vec<_> =
@@ -308,10 +307,10 @@ impl Tally {
     }
 }
 
-/// Plays a recording like a board, and returns its events as (sample, label).
+/// Plays a recording as a board would, and returns its events as (sample, label).
 ///
 /// # Errors
-/// The model is for other samples.
+/// The model needs samples of another kind.
 pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
@@ -332,7 +331,7 @@ pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usi
     }
 }
 
-/// The output of a model of recipe `aligned` for a hop, before any decision.
+/// What a model of recipe `aligned` computes for a hop, before any decision.
 #[derive(Clone, Debug)]
 pub struct Heard {
     /// The hop's last sample.
@@ -342,10 +341,10 @@ pub struct Heard {
     movement: Movement,
 }
 
-/// Returns all outputs of a model of recipe `aligned` for a recording, so that several decisions can be compared.
+/// Returns all outputs of a model of recipe `aligned` for a recording, so that callers can compare several decisions.
 ///
 /// # Errors
-/// The model is for other samples.
+/// The model needs samples of another kind.
 pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();
@@ -355,7 +354,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
         let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());
         let classify = |features: &[f32]| {
             let mut scores = [i8::MIN; MAX_LABELS];
-            // The number of features equals the model's.
+            // The number of features equals that of the model.
             let _ = model.classify_features(features, &mut scores[..info.label_count]);
             scores
         };
@@ -381,7 +380,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
     }
 }
 
-/// Returns the events (sample, label) of a decision for these outputs.
+/// Returns the events (sample, label) that a decision makes from these outputs.
 pub fn decide(heard: &[Heard], labels: &[String], config: MovementConfig) -> Vec<(usize, usize)> {
     let mut decision = MovementDecision::new(labels.iter().map(String::as_str), config);
     let step = |hop: &Heard| {

@@ -1,7 +1,7 @@
 //! Evaluates recipes on unknown people: each person of a folder is held out in turn.
 //!
 //! A fold reads only the files of the other people. The files of the held-out person are opened after training.
-//! Therefore, they cannot influence training, scaling, stopping or quantisation.
+//! These files therefore cannot influence training, scaling, stopping or quantisation.
 
 use std::path::{Path, PathBuf};
 
@@ -26,16 +26,16 @@ use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_ou
 pub struct Trial<'a> {
     /// Folder with `<label>/<person>__<n>.csv`.
     pub folder: &'a Path,
-    /// Number of axes used; `None` means all axes common to the recordings.
+    /// Number of axes to use; `None` means all axes common to the recordings.
     pub axes: Option<usize>,
-    /// Labels tested; empty means all.
+    /// The labels to test; empty means all labels.
     /// Models also learn from the other people's recordings without gestures (`idle`, `other`).
     pub labels: &'a [String],
-    /// The recipes for training the models.
+    /// The recipes that train the models.
     pub recipe: &'a dyn Recipe,
 }
 
-/// The reason why a trial cannot run, with a remedy in the text.
+/// The reason why a trial cannot run. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
     /// The folder cannot be read.
@@ -52,7 +52,7 @@ pub enum TrialError {
     Mismatch(#[from] ModelMismatch),
 }
 
-/// Correctly classified recordings in per cent, for float and int8.
+/// Percentages of correctly classified recordings, for float and int8.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy {
     /// Score of the float network.
@@ -71,7 +71,7 @@ impl Accuracy {
         }
     }
 
-    /// Returns the minimum, separately for float and int8.
+    /// Returns the smaller value, separately for float and int8.
     pub fn worst(all: &[Self]) -> Self {
         let least = |pick: fn(&Self) -> f64| all.iter().map(pick).fold(f64::INFINITY, f64::min);
         Self { float: least(|a| a.float), int8: least(|a| a.int8) }
@@ -83,7 +83,7 @@ impl Accuracy {
 pub struct Graded {
     /// Labels of the rows and columns of the confusion matrices.
     pub labels: Vec<String>,
-    /// Confusion of the float and of the int8 network.
+    /// Confusion matrices of the float and the int8 network.
     pub scores: Scores,
     /// The int8 network's answer for each recording.
     pub answers: Vec<Answer>,
@@ -92,7 +92,7 @@ pub struct Graded {
 /// The int8 network's answer for one recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
-    /// Name of the recording in the data set.
+    /// Name of the recording in its data set.
     pub recording: String,
     /// Index in [`Graded::labels`].
     pub label: usize,
@@ -114,14 +114,14 @@ impl Graded {
     }
 }
 
-/// The results of a model after it has learned some examples per class from a person.
+/// Results of a model after a person has shown it some examples per class.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
     /// Number of examples per class; 0 is the original model.
     pub examples: usize,
-    /// Results on recordings of this person that are never used as examples.
+    /// Results on this person's recordings that were never used as examples.
     pub new: Graded,
-    /// Results on other people's recordings that were not used for anything.
+    /// Results on other people's recordings that were not used for training.
     pub old: Graded,
 }
 
@@ -144,7 +144,7 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Reads recordings for learning and for joining, including those without gestures, for any tested labels.
+    /// Reads recordings for learning and for joining. Whatever labels are tested, it includes recordings without gestures.
     fn read_with_rest(
         &self,
         axes: Option<usize>,
@@ -154,7 +154,7 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, axes, |label, name| wanted(label) && person(name))
     }
 
-    /// Tests a model on recordings of the tested labels; its answers are restricted to these.
+    /// Tests a model on recordings of the tested labels, and permits only these labels as answers.
     pub fn grade(&self, model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
         let mut answers = model.card.answers();
         answers.iter_mut().zip(&model.card.labels).for_each(|(answer, label)| *answer &= self.uses(label));
@@ -167,17 +167,17 @@ impl Trial<'_> {
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
-    /// Tests a model trained without `person` on all their recordings.
+    /// Tests a model trained without `person` on all recordings of `person`.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         self.grade_of(&self.without(person, seed)?, person)
     }
 
-    /// What a model makes of all recordings of `person`.
+    /// How a model classifies all recordings of `person`.
     pub fn grade_of(&self, model: &Trained, person: &str) -> Result<Graded, TrialError> {
         self.grade(model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Events of a model, by a board's thresholds, of all recordings of `person`, joined into one.
+    /// Events that a model and a board's thresholds detect in all recordings of `person`, joined into one.
     pub fn events_of(
         &self,
         model: &Trained,
@@ -195,7 +195,7 @@ impl Trial<'_> {
         Ok(tally)
     }
 
-    /// Tests a model on a random fifth of the recordings, which is held out of training.
+    /// Tests a model on a random 20 % of the recordings, which were held out of training.
     pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
         let all = self.read_with_rest(self.axes, |_| true)?;
         let test = held_out(&all, 0.2, seed);
@@ -203,9 +203,8 @@ impl Trial<'_> {
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
-    /// Tests a model that was trained without `person` on a fraction `share`
-    /// of the other people's recordings.
-    /// The recordings of each label are in an order that depends on the seed.
+    /// Trains a model on a fraction `share` of the other people's recordings, and tests it on those of `person`.
+    /// For each label, the seed determines which recordings are used.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         let dropped = held_out(&others, 1.0 - share, seed);
@@ -213,9 +212,9 @@ impl Trial<'_> {
         self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
-    /// are tried, joined into one with this pause between them, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
-    /// seconds; both for each [`MovementConfig::max_rest`].
+    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`]. It plays all their
+    /// recordings, joined with this pause. These include recordings without a gesture, whatever labels are tested.
+    /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(
         &self,
         person: &str,
@@ -247,7 +246,7 @@ impl Trial<'_> {
         let items: Vec<&Item> = theirs.items.iter().collect();
         count(&AnnotatedRecording::joined_by(&items, axes, pause, seed), &mut real)?;
         let mut simulated = vec![Tally::default(); max_rest.len()];
-        // Each wearer is simulated for ten minutes.
+        // Each wearer is simulated for ten minutes of movement.
         const EACH_S: f64 = 600.0;
         for index in 0..(aimless_s / EACH_S).ceil() as u32 {
             let left_s = aimless_s - f64::from(index) * EACH_S;
@@ -259,7 +258,7 @@ impl Trial<'_> {
         Ok(real.into_iter().zip(simulated).collect())
     }
 
-    /// Trains a model on four fifths of the other people's recordings,
+    /// Trains a model on 80 % of the other people's recordings,
     /// and adapts it with `counts` examples per class of `person`.
     /// Each example lasts 2 s and is from a different recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
@@ -269,7 +268,7 @@ impl Trial<'_> {
         let old = others.filtered(|item| kept.contains(&item.name) && self.uses(&item.label));
         let theirs = self.read(model.card.axes, |name| name == person)?;
         let most = counts.iter().copied().max().unwrap_or(0);
-        // For each class, an order by the seed: at most half may be examples, and the rest is tested.
+        // The seed determines the order within each class. At most half of the recordings may be examples; the others are tested.
         let mut rng = streams::RandomStream::Shown.of(seed);
         let mut shown: Vec<Vec<(Vec<f32>, usize)>> = Vec::new();
         let mut tested = Vec::new();
@@ -304,7 +303,7 @@ impl Trial<'_> {
     }
 }
 
-/// Trains a model on `wearers` simulated wearers with these labels and axes, and tests it on real recordings.
+/// Trains a model on `wearers` simulated wearers with these labels and axes. It then tests the model on real recordings.
 pub fn from_simulated(
     recipe: &dyn Recipe,
     wearers: u32,
@@ -313,7 +312,7 @@ pub fn from_simulated(
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    // The variety of simulated wearers is larger than that of copies of one recording.
+    // Simulated wearers vary more than copies of one recording do.
     let model = train(&simulated, &[], &*recipe.for_simulated(), &Trial::job(seed))?;
     grade(&model, real)
 }
@@ -322,7 +321,7 @@ pub fn from_simulated(
 /// These wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
-    // Start and length of two short recordings that are taken from each gesture, in samples.
+    // Start and length in samples of two short recordings, which are taken from each gesture.
     const SHORT: [(usize, usize); 2] = [(150, 105), (300, 130)];
     let of_wearer = |index: u32| {
         let wearer = Wearer::training(seed, index).untaught();
@@ -360,7 +359,7 @@ pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError
     graded(model, recordings, &model.card.answers())
 }
 
-/// Tests a model on recordings; `answers` are the labels that it may give.
+/// Tests a model on recordings; `answers` are the labels that the model may give.
 fn graded(model: &Trained, recordings: &Dataset, answers: &[bool]) -> Result<Graded, TrialError> {
     let card = &model.card;
     let scored = scored(recordings, &card.labels, &card.features);

@@ -11,12 +11,12 @@ use crate::tflite::{FloatLayer, infer_float};
 use crate::windows::{features_every, prepare};
 use crate::{RATE_HZ, blob};
 
-/// Number of samples between two tested windows: 1 s.
+/// Number of samples between two tested windows, which is 1 s.
 pub const STRIDE: usize = RATE_HZ as usize;
 
 /// A network that assigns a label to each window of features.
 pub enum Classifier<'a> {
-    /// The float network with the card's scaling.
+    /// The float network with the scaling from the card.
     Float {
         /// Its card.
         card: &'a Card,
@@ -27,7 +27,7 @@ pub enum Classifier<'a> {
     Int8(Model<'a>),
 }
 
-/// Converts transformed features to inputs of the float network.
+/// Converts transformed features to the inputs of the float network.
 pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
     let scaling = &card.scaling;
     let pairs = scaling.mean.iter().zip(&scaling.deviation);
@@ -45,7 +45,7 @@ pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
 impl Classifier<'_> {
     /// Returns the probability of each label, or `None` if the number of features differs from the model's.
     ///
-    /// The int8 network takes raw features and applies its recipe itself.
+    /// The int8 network takes raw features and applies the recipe itself.
     pub fn probabilities(&self, raw: &[f32], transformed: &[f32]) -> Vec<f32> {
         match self {
             Self::Float { card, layers } => infer_float(layers, &standardise(card, transformed)),
@@ -80,7 +80,7 @@ pub struct Scored {
     pub person: String,
     /// Raw features of each window.
     pub raw: Vec<Vec<f32>>,
-    /// The features after the card's recipe.
+    /// The features after the transformation of the card's recipe.
     pub transformed: Vec<Vec<f32>>,
     /// Whether the recording was shorter than a window.
     pub padded: bool,
@@ -111,18 +111,18 @@ pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Score
     dataset.items.iter().map(one).collect()
 }
 
-/// A classifier's result for one recording.
+/// What a classifier returned for one recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Given {
     /// Index of the label with the highest mean probability.
     pub label: usize,
     /// That probability.
     pub probability: f32,
-    /// Number of windows, and number of windows with the correct label.
+    /// Number of windows, and number of correctly classified windows.
     pub windows: (usize, usize),
 }
 
-/// Classifies a recording; `answers` are the labels that may be given ([`Card::answers`]).
+/// Classifies a recording; `answers` are the labels that the classifier may give ([`Card::answers`]).
 pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) -> Given {
     let mut sum = vec![0.0f32; answers.len()];
     let mut right = 0;
@@ -141,7 +141,7 @@ pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) 
 }
 
 /// Tests a classifier. A recording whose label the model does not know counts as incorrect.
-/// An unanswered recording does not appear in the confusion matrix.
+/// A recording without an answer does not appear in the confusion matrix.
 pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], answers: &[bool]) -> Score {
     let given: Vec<Given> =
         recordings.iter().map(|recording| given(classifier, recording, answers)).collect();

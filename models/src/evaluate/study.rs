@@ -1,4 +1,4 @@
-//! A complete comparison on one folder for several seeds: each person held out, a random fifth,
+//! A complete comparison on one folder for several seeds: each person held out, a random 20 % held out,
 //! and a few shown examples.
 //! `models people` prints its results, and `models report` draws the same figures.
 
@@ -17,11 +17,11 @@ pub struct Study {
     pub recipe: &'static str,
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Results by person and seed, each of a model trained without that person.
+    /// Results by person and seed. Each result is that of a model trained without that person.
     pub strangers: Vec<Vec<Graded>>,
-    /// Results for a random fifth of the same people's recordings, by seed.
+    /// Results for a random 20 % of the same people's recordings, by seed.
     pub random: Vec<Graded>,
-    /// Results by person, seed and number of examples. Empty if the recipe cannot adapt.
+    /// Results by person, seed and number of examples. The list is empty if the recipe cannot adapt.
     pub shown: Vec<Vec<Vec<Shown>>>,
 }
 
@@ -30,12 +30,12 @@ pub struct Study {
 pub struct Row {
     /// What was tested.
     pub what: String,
-    /// Mean percentage of correctly classified recordings over all seeds.
+    /// Mean percentage of correctly classified recordings, over all seeds.
     pub accuracy: Accuracy,
 }
 
 impl Study {
-    /// Runs the comparison with the seeds 1 to `seeds`. If the recipe can adapt, it also uses `counts` examples, and 0.
+    /// Runs the comparison with the seeds 1 to `seeds`. If the recipe can adapt, it also tests `counts` examples, and 0.
     /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,
@@ -74,7 +74,7 @@ impl Study {
         first.map_or_else(Vec::new, |runs| runs.iter().map(|run| run.examples).collect())
     }
 
-    /// Results of all seeds by person, for the number of examples at this index.
+    /// Results of all seeds by person, for the number of examples at this index of the list.
     pub fn shown_at(&self, place: usize) -> Vec<Vec<&Shown>> {
         self.shown.iter().map(|seeds| seeds.iter().map(|runs| &runs[place]).collect()).collect()
     }
@@ -103,7 +103,7 @@ impl Study {
         rows
     }
 
-    /// Returns recordings of unknown people that most models misclassify, the most certain errors first.
+    /// Returns recordings of unknown people that most models misclassify. The errors with the highest certainty come first.
     pub fn doubts(&self) -> Vec<Doubt> {
         let mut doubts: BTreeMap<&str, Doubt> = BTreeMap::new();
         for runs in &self.strangers {
@@ -131,27 +131,27 @@ impl Study {
 /// A recording that models misclassify, whose label may be wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Doubt {
-    /// Name in the data set.
+    /// Name of the recording in the data set.
     pub recording: String,
     /// Number of models that classified the recording.
     pub models: usize,
-    /// Incorrect answers, with the probability of each.
+    /// Incorrect answers, and the probability of each.
     pub given: BTreeMap<String, Vec<f32>>,
 }
 
 impl Doubt {
-    /// Number of models with an incorrect answer.
+    /// Number of models that gave an incorrect answer.
     pub fn wrong(&self) -> usize {
         self.given.values().map(Vec::len).sum()
     }
 
-    /// Mean probability of incorrect answers over all models, where correct answers count as 0.
+    /// Mean probability of incorrect answers over all models; a correct answer counts as 0.
     pub fn sureness(&self) -> f32 {
         self.given.values().flatten().sum::<f32>() / self.models.max(1) as f32
     }
 }
 
-/// Largest difference between float and int8 in a row, in points.
+/// Largest difference between float and int8 in a row, in percentage points.
 pub fn widest_gap(rows: &[Row]) -> f64 {
     rows.iter().map(|row| (row.accuracy.float - row.accuracy.int8).abs()).fold(0.0, f64::max)
 }
@@ -161,9 +161,9 @@ pub fn widest_gap(rows: &[Row]) -> f64 {
 pub struct Events {
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Results of each person's joined recordings, for all seeds together.
+    /// Results for the joined recordings of each person, over all seeds.
     pub real: Vec<Tally>,
-    /// Results of simulated wearers who make no gesture, for all models together.
+    /// Results for simulated wearers who make no gesture, over all models.
     pub simulated: Tally,
     /// Results for other thresholds (maximum probability of rest, in 256ths), for all people and for simulated wearers.
     pub trade: Vec<(u8, Tally, Tally)>,
@@ -226,7 +226,7 @@ mod tests {
     use crate::card::Scores;
     use crate::evaluate::people::Answer;
 
-    /// Creates a run from answers, each with the recording, the given label, the probability and its correctness.
+    /// Creates a run from answers. Each answer has the recording, the given label, the probability and its correctness.
     fn run(answers: &[(&str, usize, f32, bool)]) -> Graded {
         let answer = |&(recording, label, probability, right): &(&str, usize, f32, bool)| Answer {
             recording: recording.to_owned(),

@@ -1,15 +1,15 @@
-//! Simulates the same movement at another tempo, only for testing models and never for training.
+//! Simulates the same movement at another tempo. Only tests of models use this, and never training.
 //!
 //! Gravity is the part of the acceleration below 0.3 Hz, and does not change.
-//! The rest of the acceleration scales with the square of the tempo, and rotation scales with the tempo.
-//! Time is shortened, and the sensor clips at its `range`. The magnetometer is only replayed.
+//! The remaining acceleration scales with the square of the tempo, and rotation scales with the tempo.
+//! Time is shortened, and the sensor clips at its `range`. The magnetometer's values are only replayed faster.
 
 use crate::RATE_HZ;
 use crate::recording::Recording;
 
 /// The frequency that separates gravity (below) from movement (above).
 const GRAVITY_HZ: f64 = 0.3;
-/// Frequency range in which the period of a movement is searched, in Hz.
+/// Range of frequencies in Hz in which the period of a movement is searched.
 const SEARCH_HZ: std::ops::Range<f64> = 0.2..8.0;
 const STEP_HZ: f64 = 0.05;
 
@@ -56,7 +56,7 @@ pub fn range_of<'a>(recordings: impl Iterator<Item = &'a Recording>) -> f64 {
     ranges.into_iter().find(|range| most <= range + 0.05).unwrap_or(16.0 * 9.806_65)
 }
 
-/// Applies a second-order filter forward and backward, so that there is no delay.
+/// Applies a second-order filter forward and backward, so that the result has no delay.
 fn low_pass(values: &[f64]) -> Vec<f64> {
     let once = |values: &mut dyn Iterator<Item = f64>, first: f64| -> Vec<f64> {
         let keep = (-std::f64::consts::TAU * GRAVITY_HZ / RATE_HZ).exp();
@@ -76,8 +76,7 @@ fn low_pass(values: &[f64]) -> Vec<f64> {
     back
 }
 
-/// Returns the number of strokes per second, which is the frequency with the most power
-/// in the acceleration without gravity.
+/// Returns the number of strokes per second: the frequency with the most power in the acceleration without gravity.
 /// The tempo is `None` if nothing moves.
 pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
     let ready = recording.resampled();
@@ -119,7 +118,7 @@ pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Generates a sway along x with this frequency and amplitude in m/s², with gravity along z and rotation about z.
+    /// Generates a sway along x with this frequency in Hz and amplitude in m/s². Gravity is along z, and the rotation is about z.
     fn sway(hz: f64, size: f64) -> Recording {
         let angle = |n: usize| std::f64::consts::TAU * hz * n as f64 / RATE_HZ;
         let row =
@@ -128,7 +127,7 @@ mod tests {
     }
 
     fn most(recording: &Recording, axis: usize) -> f32 {
-        // Excludes the ends, where the filter has little data.
+        // Excludes both ends, where the filter has little data.
         let rows: Vec<f32> = recording.samples().map(|row| row[axis].abs()).collect();
         rows[rows.len() / 4..3 * rows.len() / 4].iter().fold(0.0, |most, value| most.max(*value))
     }

@@ -22,23 +22,23 @@ pub struct Facts {
     pub axes: usize,
     /// Names of the features of recipe `aligned`.
     pub feature_names: Vec<String>,
-    /// The mean of each feature over the windows of a label, in standard deviations over all windows.
+    /// The mean of each feature over the windows of a label, in standard deviations of all windows.
     pub features: Vec<(String, Vec<f64>)>,
 }
 
-/// The recordings of one person.
+/// Facts about the recordings of one person.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PersonFacts {
     /// Number of recordings and seconds per label.
     pub labels: BTreeMap<String, (usize, f64)>,
-    /// Minimum and maximum sampling rate in Hz.
+    /// Minimum and maximum sampling rates in Hz.
     pub rates_hz: Option<(f64, f64)>,
-    /// Maximum acceleration along an axis in m/s².
+    /// Maximum acceleration along any axis in m/s².
     pub largest: f64,
-    /// Tempo of the gestures in strokes per second: a tenth of them are slower than the first figure, half than the second,
-    /// nine tenths than the third.
+    /// Tempo of the gestures in strokes per second. 10 % of them are slower than the first figure, half are slower than the
+    /// second, and 90 % are slower than the third.
     pub strokes_hz: Option<[f64; 3]>,
-    /// Share of the accelerometer's values within 0.1 % of that: far above 0 if the sensor clips.
+    /// Share of the accelerometer's values within 0.1 % of the maximum, which is far above 0 if the sensor clips.
     pub at_largest: f64,
 }
 
@@ -85,14 +85,14 @@ impl Facts {
         }
     }
 
-    /// Returns the total number of recordings and minutes.
+    /// Returns the number of recordings and of minutes in total.
     pub fn total(&self) -> (usize, f64) {
         let each = self.people.iter().flat_map(|(_, person)| person.labels.values());
         each.fold((0, 0.0), |(count, minutes), (n, seconds)| (count + n, minutes + seconds / 60.0))
     }
 }
 
-/// Mean features per label, standardised.
+/// Returns the standardised mean of the features of each label.
 fn features(dataset: &Dataset) -> Vec<(String, Vec<f64>)> {
     let windows: Vec<(&String, Vec<f32>)> = dataset
         .items
@@ -124,7 +124,7 @@ fn features(dataset: &Dataset) -> Vec<(String, Vec<f64>)> {
     dataset.labels.iter().map(row).collect()
 }
 
-/// Returns the names of the features of recipe `aligned`, in order ([`shared_dsp::right::aligned`]).
+/// Returns the names of the features of recipe `aligned` in order ([`shared_dsp::right::aligned`]).
 pub fn feature_names(axes: usize) -> Vec<String> {
     let triads: &[&str] = if axes >= 6 { &["acceleration", "rotation"] } else { &["acceleration"] };
     let directions = ["up", "along", "across"];

@@ -13,7 +13,7 @@ use crate::evaluate::study::{Events, Study};
 /// Size of a network on a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkSize {
-    /// Number of inputs, and then of outputs of each layer.
+    /// Number of inputs, followed by the number of outputs of each layer.
     pub widths: Vec<usize>,
     /// Size of the blob in bytes, including weights, scaling, tables and labels.
     pub blob_bytes: usize,
@@ -46,6 +46,6 @@ pub struct Report {
     pub networks: Vec<NetworkSize>,
     /// Of the last recipe.
     pub events: Option<Events>,
-    /// Learning curves by recipe and person: (fraction of the other people's recordings, accuracy in per cent).
+    /// Learning curves by recipe and person. Each point is (fraction of the other people's recordings, accuracy in per cent).
     pub learning: Vec<(String, Vec<(f64, f64)>)>,
 }

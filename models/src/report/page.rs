@@ -1,4 +1,4 @@
-//! The page itself: HTML with embedded style and drawings, without external references.
+//! The HTML page itself, with embedded style and drawings and without external references.
 
 use std::fmt::Write as _;
 
@@ -263,7 +263,7 @@ fn event_table(page: &mut String, events: &Events) {
     );
 }
 
-/// Plots the fraction of correct answers against the network's probability.
+/// Plots the fraction of correct answers against the network's probability for them.
 fn calibration(page: &mut String, study: &Study) {
     let curve = |graded: Vec<&Graded>| -> Vec<(f64, f64)> {
         const BINS: usize = 10;

@@ -1,5 +1,5 @@
-//! What a reader must see first: people one by one, the worst first, with how fast they move; and what it costs to answer
-//! more gestures.
+//! Pictures at the top of the page: the results and the tempo of each person (the worst person first), and the number of
+//! false events that it costs to detect more gestures.
 
 use std::fmt::Write as _;
 
@@ -23,7 +23,7 @@ pub fn first(page: &mut String, report: &Report) {
     page.push_str("</div>\n");
 }
 
-/// A bar for each person held out.
+/// Draws a bar for each held-out person.
 fn people(page: &mut String, study: &Study, facts: &Facts) {
     let mut each: Vec<(&String, f64)> = study
         .people
@@ -54,7 +54,7 @@ fn people(page: &mut String, study: &Study, facts: &Facts) {
     );
 }
 
-/// Gestures that are answered against events where there is no gesture, for each threshold that was tried.
+/// Plots correct events for gestures against false events without a gesture, for each threshold that was tested.
 fn trade(page: &mut String, events: &Events, axes: usize) {
     let boards = MovementConfig::for_axes(axes).max_rest;
     let together = events.together();
@@ -66,7 +66,7 @@ fn trade(page: &mut String, events: &Events, axes: usize) {
     let low = tried.iter().map(|(_, real, _)| real.right_per_cent()).fold(100.0, f64::min);
     let floor = ((low - 1.0) / 10.0).floor().max(0.0) * 10.0;
     let part = |value: f64| (value - floor) / (100.0 - floor).max(1e-9);
-    // Of real people's recordings of no gesture, and of simulated wearers' hours.
+    // False events in real people's recordings without a gesture, and in the hours of simulated wearers.
     let real = |tally: &Tally| 100.0 * tally.rest_events as f64 / tally.rests.max(1) as f64;
     let simulated = |tally: &Tally| if tally.rest_s > 0.0 { tally.false_per_hour() } else { 0.0 };
     let most = tried.iter().flat_map(|(_, r, s)| [real(r), simulated(s)]).fold(1.0, f64::max);

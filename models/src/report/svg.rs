@@ -1,4 +1,4 @@
-//! Small SVG drawings for a self-contained page.
+//! Draws small SVG pictures for a self-contained page.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A named line through points (x, y), both in 0..=1.
+/// A line with a name through points (x, y), whose coordinates are in 0..=1.
 pub struct Curve<'a> {
     /// What it is.
     pub name: &'a str,
@@ -22,7 +22,7 @@ const LEFT: f64 = 46.0;
 const TOP: f64 = 12.0;
 const PLOT: (f64, f64) = (300.0, 200.0);
 
-/// Draws a line chart. `x_ticks` and `y_ticks` are positions in 0..=1 with their text; `diagonal` adds the line y = x.
+/// Draws a line chart. `x_ticks` and `y_ticks` are positions in 0..=1 and their texts; `diagonal` adds the line y = x.
 pub fn lines(
     (x_name, y_name): (&str, &str),
     x_ticks: &[(f64, String)],
@@ -108,7 +108,7 @@ pub fn lines(
     svg + "</svg>"
 }
 
-/// A bar with its name before it and a text behind it.
+/// Draws a bar with its name in front and a text behind.
 pub struct Bar {
     /// Whose it is.
     pub name: String,
@@ -118,7 +118,7 @@ pub struct Bar {
     pub text: String,
 }
 
-/// Bars, one under the other.
+/// Draws bars below each other.
 pub fn bars(bars: &[Bar]) -> String {
     const ROW: f64 = 20.0;
     const NAMES: f64 = 90.0;
@@ -143,7 +143,7 @@ pub fn bars(bars: &[Bar]) -> String {
     svg + "</svg>"
 }
 
-/// A map of values in −1..=1: a row per name, a column per column name (shown where the mouse rests).
+/// Draws a map of values in −1..=1 with a row for each name. The name of a column appears under the mouse.
 pub fn heat(rows: &[(String, Vec<f64>)], columns: &[String]) -> String {
     const CELL: (f64, f64) = (9.0, 18.0);
     const NAMES: f64 = 110.0;

@@ -2,10 +2,10 @@
 
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, SAME_RATE};
 
-/// Units of a time column without a declared unit, in milliseconds, in the order of trial.
+/// Units of a time column without a declared unit, in milliseconds. The reader tries them in this order.
 const UNITS: [(&str, f64); 4] = [("ms", 1.0), ("s", 1000.0), ("µs", 1e-3), ("ns", 1e-6)];
 
-/// A cell of a time column: a number, or a time of day with an optional date, which is converted to seconds.
+/// A cell in a time column: a number, or a time of day with an optional date. Times of day are converted to seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Stamp {
     Number(f64),
@@ -20,14 +20,14 @@ pub(super) fn stamp(cell: &str) -> Option<Stamp> {
     }
 }
 
-/// Returns the seconds of `2026-05-01 12:30:59.250`, `12:30:59,25`, `12:30:59:250` and similar formats.
+/// Returns the seconds in `2026-05-01 12:30:59.250`, `12:30:59,25`, `12:30:59:250` and similar texts.
 fn of_day(cell: &str) -> Option<f64> {
     let cell = cell.trim().trim_end_matches('Z');
     let (date, clock) = match cell.split_once(['T', ' ']) {
         Some((date, clock)) => (Some(date), clock.trim()),
         None => (None, cell),
     };
-    // A time zone after the time is equal in all rows.
+    // The time zone after a time is the same in all rows, so it is ignored.
     let clock = clock.split_once(['+', ' ']).map_or(clock, |(clock, _)| clock);
     let clock = clock.rsplit_once('-').map_or(clock, |(clock, _)| clock);
     let parts: Vec<&str> = clock.split(':').collect();
@@ -60,14 +60,14 @@ fn of_day(cell: &str) -> Option<f64> {
     Some(days * 86_400.0 + seconds)
 }
 
-/// Number of days in the Gregorian calendar.
+/// Number of days in the Gregorian calendar until this date.
 fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    // If years begin in March, the leap day is at their end.
+    // If years begin in March, the leap day is the last day of the year.
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     365 * year + year / 4 - year / 100 + year / 400 + (153 * month + 2) / 5 + day - 719_469
 }
 
-/// Returns the unit of undeclared times, for which the rate is plausible.
+/// Returns the unit of undeclared times with which the rate is plausible.
 pub(super) fn unit(times: &[f64]) -> Option<(&'static str, f64)> {
     let interval = typical_interval(times)?;
     let slack = 1.0 + SAME_RATE;
@@ -75,7 +75,7 @@ pub(super) fn unit(times: &[f64]) -> Option<(&'static str, f64)> {
     UNITS.into_iter().find(|(_, ms)| usable.contains(&(interval * ms)))
 }
 
-/// Returns the mean interval without the longest one, so that neither a gap nor equal stamps distort it.
+/// Returns the mean interval without the longest one, so that neither a gap nor equal time stamps distort the mean.
 pub(super) fn typical_interval(times: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     steps.sort_unstable_by(f64::total_cmp);
@@ -87,7 +87,7 @@ pub(super) fn typical_interval(times: &[f64]) -> Option<f64> {
 /// Spreads samples with the same stamp evenly up to the next stamp. Returns the number of moved samples.
 /// Times must not decrease.
 ///
-/// Equal stamps occur because a clock has only milliseconds, or because a radio delivers several samples at once.
+/// Time stamps are equal if a clock counts only milliseconds, or if a radio delivers several samples at once.
 pub(super) fn spread(times: &mut [f64]) -> usize {
     let Some(interval) = typical_interval(times) else { return 0 };
     let (mut moved, mut from) = (0, 0);
@@ -95,7 +95,7 @@ pub(super) fn spread(times: &mut [f64]) -> usize {
         let stamp = times[from];
         let run = times[from..].iter().take_while(|time| **time == stamp).count();
         if run > 1 {
-            // If no other stamp follows, or only after a gap, the samples get the normal interval.
+            // If no other time stamp follows, or only after a gap, the samples get the normal interval.
             let room = times.get(from + run).map_or(f64::INFINITY, |next| next - stamp);
             let even = room / run as f64;
             let step = if even <= 1.5 * interval { even } else { interval };

@@ -1,9 +1,9 @@
-//! Errors of recordings that cannot be used.
+//! Errors that explain why a recording cannot be used.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-/// The reason why a recording of either hand cannot be used, with a remedy in the text.
+/// The reason why a recording of either hand cannot be used. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be opened or read.
@@ -14,14 +14,14 @@ pub enum RecordingError {
         /// The system's error message.
         source: std::io::Error,
     },
-    /// The file is empty, or has a header without samples.
+    /// The file is empty, or contains a header without samples.
     #[error("{file}: {what}; record it again or {instead}")]
     Empty {
         /// The file.
         file: PathBuf,
         /// The missing part.
         what: &'static str,
-        /// An alternative for the user.
+        /// An alternative that the user has.
         instead: &'static str,
     },
     /// The columns of a recording were not found.
@@ -31,7 +31,7 @@ pub enum RecordingError {
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// Number of the column, from 1; 0 if no particular one.
+        /// Number of the column, from 1; 0 if the problem concerns no particular column.
         column: usize,
         /// Its name.
         name: String,
@@ -53,10 +53,10 @@ pub enum RecordingError {
     Units {
         /// The file.
         file: PathBuf,
-        /// The apparent units and a remedy.
+        /// The units that the samples appear to have, and a remedy.
         problem: String,
     },
-    /// Several recordings in one file.
+    /// The file contains several recordings.
     #[error(
         "{file}: the file holds {takes} recordings, one after the other; `models import` makes a file of each"
     )]
@@ -66,7 +66,7 @@ pub enum RecordingError {
         /// How many.
         takes: usize,
     },
-    /// Times that are days apart.
+    /// The times of the file are days apart.
     #[error(
         "{file}: the recording is {hours:.0} h long, so its clock has jumped; correct the times, or let `models import` \
          part it at its pauses"
@@ -87,14 +87,14 @@ pub enum RecordingError {
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// The first missing or superfluous column, from 1.
+        /// Number of the first missing or superfluous column, from 1.
         column: usize,
         /// Values in the row.
         found: usize,
         /// Values in the header.
         expected: usize,
     },
-    /// A value is invalid for its column.
+    /// A value is invalid in its column.
     #[error(
         "{file}, line {line}, column {column} ({name}): {value:?} is not a {wanted}; \
          correct the value or delete the line"
@@ -113,7 +113,7 @@ pub enum RecordingError {
         /// The expected content.
         wanted: Cow<'static, str>,
     },
-    /// The time does not increase.
+    /// The time of a row is not later than that of the previous row.
     #[error(
         "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
          times must rise: sort the rows, or split the file where a second recording starts"
@@ -127,12 +127,12 @@ pub enum RecordingError {
         column: usize,
         /// The column's name.
         name: String,
-        /// The time in this row, in ms.
+        /// The time in this row, in milliseconds.
         time_ms: f64,
-        /// The time in the previous row, in ms.
+        /// The time in the previous row, in milliseconds.
         before_ms: f64,
     },
-    /// The sampling rate is out of range or cannot be determined.
+    /// The sampling rate is out of range, or cannot be determined.
     #[error(
         "{file}, column {column}: the sampling rate is {rate_hz:.1} Hz, but {slowest_hz} to {fastest_hz} Hz are needed; \
          times must be in milliseconds"
@@ -161,7 +161,7 @@ pub enum RecordingError {
     },
 }
 
-/// Formats `, column 3 ("accZ")`, as far as it is known.
+/// Formats the column as `, column 3 ("accZ")`, as far as it is known.
 fn column_name(column: usize, name: &str) -> String {
     match (column, name) {
         (0, "") => String::new(),

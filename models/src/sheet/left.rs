@@ -1,4 +1,4 @@
-//! Rows of the left hand's recordings: conversions of its five channels.
+//! Reads rows of the left hand's recordings, which contain conversions of its five channels.
 
 use std::path::{Path, PathBuf};
 
@@ -11,9 +11,9 @@ pub(crate) const CHANNEL_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
 
 /// Maximum value of a 12-bit converter.
 const CONVERSION_MAX: f64 = 4095.0;
-/// Number of conversions that a board adds up, and therefore of fractions in a mean.
+/// Number of conversions that a board adds up. A mean is therefore a multiple of one over this number.
 const PARTS: f64 = shared_dsp::left::OVERSAMPLING as f64;
-/// Maximum difference between two samples. A clock that jumps further is unusable.
+/// Maximum time between two samples. A clock that jumps further is unusable.
 const LONGEST_MS: f64 = 1e12;
 
 struct Left;
@@ -28,7 +28,7 @@ impl Format for Left {
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, [usize; 5])>, Problem> {
         let channel = |name: &String| CHANNEL_NAMES.iter().position(|known| known == name);
         let is_time = |name: &String| matches!(name.as_str(), "timestamp_ms" | "timestamp");
-        // A row with a time column is a header, even if it is one of a right hand.
+        // A row with a time column is a header, even if it is the header of a right hand.
         if names.iter().filter_map(channel).count() < 2 && !names.iter().any(is_time) {
             return Ok(None);
         }
@@ -58,7 +58,7 @@ impl Format for Left {
     }
 }
 
-/// Parses a conversion: an integer, or a number with eighths, such as the mean of eight conversions.
+/// Parses a conversion: an integer, or a multiple of an eighth, such as the mean of eight conversions.
 fn conversion(cell: &str) -> Result<f64, &'static str> {
     let plain = cell.bytes().all(|byte| byte.is_ascii_digit() || matches!(byte, b'.' | b','));
     let count = text::number(cell).filter(|_| plain);
@@ -67,7 +67,7 @@ fn conversion(cell: &str) -> Result<f64, &'static str> {
         .ok_or("whole number from 0 to 1023, nor one with eighths, as raw conversions are")
 }
 
-/// A sample in the form of the file.
+/// A sample in the units of the file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LeftRow {
     line: u64,
@@ -77,11 +77,11 @@ pub(crate) struct LeftRow {
     pub conversions: [f64; 5],
 }
 
-/// At least two samples of a file, sorted by time.
+/// At least two samples from a file, sorted by time.
 #[derive(Clone, Debug)]
 pub(crate) struct LeftSheet {
     file: PathBuf,
-    /// The time column and the channels' columns.
+    /// The numbers of the time column and of the channels' columns.
     columns: (usize, [usize; 5]),
     /// Time of the first sample in the file, in ms.
     pub start_ms: f64,
@@ -128,7 +128,7 @@ impl LeftSheet {
         }
     }
 
-    /// Returns the error for a row whose conversion exceeds the converter's range.
+    /// Returns the error for a row in which a conversion exceeds the converter's range.
     pub fn too_large(&self, row: &LeftRow, channel: usize, largest: f64) -> RecordingError {
         RecordingError::Value {
             file: self.file.clone(),

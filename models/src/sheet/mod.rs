@@ -1,4 +1,4 @@
-//! Reads CSV files of various programs: converts the bytes of a file to recordings of either hand in our units.
+//! Reads CSV files of various programs and converts their bytes to recordings of either hand in our units.
 //!
 //! ```text
 //! bytes ─ text ─► lines of cells ─ reader ─► rows of numbers ┬ right ─► clock ─► judge ─► m/s², deg/s, µT
@@ -7,9 +7,8 @@
 //!
 //! Columns are found by their names in any order, with any separator and decimal sign.
 //! Anything that neither a name nor [`Reading`] declares is inferred.
-//! The unit of times follows from the resulting rate, and the units of samples from gravity
-//! and rotation (`right/judge.rs`).
-//! An inference is either printed (import, [`Reading::guess`]) or becomes a question in an error.
+//! The resulting rate determines the unit of times. Gravity and rotation determine the units of samples (`right/judge.rs`).
+//! An inference is either printed (import, [`Reading::guess`]) or put to the user as a question in an error.
 
 mod clock;
 mod error;
@@ -28,7 +27,7 @@ pub use right::{Columns, Table, merge};
 use crate::recording::Recording;
 use right::names;
 
-/// The sensors of a recording, in the order of its axes.
+/// The sensors of a recording in the order of its axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sensor {
     /// Accelerometer, in m/s².
@@ -52,7 +51,7 @@ impl fmt::Display for Sensor {
     }
 }
 
-/// Units declared by a user, as m/s², deg/s or µT per unit of each sensor.
+/// Units that a user declared: the number of m/s², deg/s or µT per unit of each sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Units([Option<f64>; 3]);
 
@@ -60,7 +59,7 @@ impl Units {
     /// Nothing is declared.
     pub const NONE: Units = Units([None; 3]);
 
-    /// Returns the factor of a sensor, if one is declared.
+    /// Returns the factor of a sensor, if the user declared one.
     pub fn of(&self, sensor: Sensor) -> Option<f64> {
         self.0[sensor as usize]
     }
@@ -76,7 +75,7 @@ impl FromStr for Units {
             let counts =
                 part.split_once('/').and_then(|(n, unit)| Some((n.trim().parse::<f64>().ok()?, unit)));
             let (per_unit, unit) = counts.unwrap_or((1.0, part));
-            // `gs` means gauss and g; acceleration has priority.
+            // `gs` contains both gauss and g; the acceleration has priority.
             let found = SENSORS.into_iter().find_map(|sensor| Some((sensor, names::factor(sensor, unit)?)));
             let Some((sensor, factor)) = found.filter(|_| per_unit.is_finite() && per_unit > 0.0) else {
                 return Err(format!(
@@ -104,28 +103,28 @@ pub fn unit_names(sensor: Sensor) -> Vec<&'static str> {
 /// The options for reading a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reading {
-    /// Known units, which override the file.
+    /// Units declared by the user, which override the file.
     pub units: Units,
-    /// Samples per second of files without times.
+    /// Number of samples per second in files without times.
     pub rate_hz: Option<f64>,
     /// Names for columns.
     pub columns: Option<Columns>,
-    /// Whether inferences are accepted and reported in the notes.
-    /// Otherwise, only declared properties are accepted, and any doubt is an error.
+    /// Whether the reader accepts inferences and reports them in the notes.
+    /// Otherwise, it accepts only declared properties, and any doubt is an error.
     pub guess: bool,
 }
 
 /// A file's recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sheet {
-    /// One recording for each start of recording in the file.
+    /// The recordings in the file, which may contain several.
     pub takes: Vec<Recording>,
     /// Descriptions of everything that was inferred, repaired or omitted.
     pub notes: Vec<String>,
 }
 
 /// Parses all right-hand recordings in the bytes of a file.
-/// `file` is used in errors, and to identify the sensor of columns x, y, z.
+/// `file` is used in errors, and its name identifies the sensor of columns x, y, z.
 ///
 /// # Errors
 /// [`RecordingError`] with the place and a remedy.

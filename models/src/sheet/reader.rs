@@ -1,9 +1,8 @@
-//! The reader of all CSV files: converts the bytes of a file to rows of numbers, for either hand.
+//! The reader of all CSV files. It converts the bytes of a file to rows of numbers, for either hand.
 //!
-//! Each [`Format`] has a table ([`ColumnTable`]) of the columns to be read and the format of their cells.
-//! Separators, decimal commas, lines before the header, comments,
-//! units and repeated headers are treated equally for all formats.
-//! The errors are also the same.
+//! Each [`Format`] has a table ([`ColumnTable`]) of the columns to be read and of how their cells are written.
+//! Separators, decimal commas, lines before the header, comments, units, repeated headers and errors
+//! are the same for all formats.
 
 use std::path::Path;
 
@@ -11,16 +10,16 @@ use super::clock::{self, Stamp};
 use super::error::RecordingError;
 use super::text::{self, Separator, Text};
 
-/// The header must be within this many lines, because some programs first write information about themselves.
+/// The header must be within this number of lines, because some programs first write information about themselves.
 const HEADER_WITHIN: usize = 100;
 
-/// A problem with the columns: the column from 1 (or 0 for all of them), its name, and the problem.
+/// A problem with the columns: the number of the column from 1 (or 0 for all of them), its name, and a description.
 pub(super) type Problem = (usize, String, String);
 
 /// Converts a cell to a number. The error describes the expected content.
 pub(super) type ReadCell = fn(&str) -> Result<f64, &'static str>;
 
-/// The columns of a file to be read, and the format of their cells.
+/// The columns to be read in a file, and how their cells are written.
 pub(super) struct ColumnTable {
     /// The column of the times.
     pub time: Option<usize>,
@@ -32,11 +31,11 @@ pub(super) struct ColumnTable {
 pub(super) trait Format {
     /// Additional information from a header.
     type Layout;
-    /// The required columns of such a file, as a text for users.
+    /// The columns that such a file must have, as text for users.
     const WANTED: &'static str;
-    /// A remedy if recording again is not possible.
+    /// A remedy for users who cannot record again.
     const INSTEAD: &'static str;
-    /// Whether a blank line or another header can begin another recording with its own times.
+    /// Whether a blank line or another header can begin another recording, whose times start again.
     const TAKES: bool;
 
     /// Returns the columns with these names, or `None` if this is not a header of such a file.
@@ -45,7 +44,7 @@ pub(super) trait Format {
     /// The row is a header that cannot be used.
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, Self::Layout)>, Problem>;
 
-    /// Describes the missing header; `numbers` is true if the file begins with numbers.
+    /// Describes the missing header; `numbers` is true if the file begins with numbers instead.
     fn missing(&self, numbers: bool) -> &'static str;
 
     /// Whether lines of text between samples are skipped (and counted).
@@ -69,17 +68,17 @@ pub(super) trait Format {
     }
 }
 
-/// The positions of the columns, and the start of the rows.
+/// The positions of the columns, and the place where the rows start.
 pub(super) struct Head<L> {
     separator: Separator,
     /// Of all columns.
     pub names: Vec<String>,
-    /// Line above the first row.
+    /// Number of the line above the first row.
     line: u64,
-    /// Whether every cell is `name:value`.
+    /// Whether every cell has the form `name:value`.
     pairs: bool,
     table: ColumnTable,
-    /// Additional information of the format.
+    /// Additional information that the format needs.
     pub layout: L,
 }
 
@@ -87,13 +86,13 @@ pub(super) struct Head<L> {
 pub(super) struct Row<'r> {
     /// Line, from 1.
     pub line: u64,
-    /// Whether a blank line or another header precedes it.
+    /// Whether a blank line or another header precedes the row.
     pub is_parted: bool,
-    /// The time in the file; a time of day is converted to seconds.
+    /// The time of the row in the file; a time of day is converted to seconds.
     pub time: Option<f64>,
     /// Whether the time is a time of day.
     pub is_of_day: bool,
-    /// The values in the order of the column table.
+    /// The values of the row in the order of the column table.
     pub values: &'r [f64],
 }
 
@@ -114,7 +113,7 @@ pub(super) struct Rows<'t, F: Format> {
     is_parted: bool,
     /// Number of skipped lines of text.
     pub skipped: usize,
-    /// Whether times are times of day, in seconds.
+    /// Whether the times are times of day in seconds.
     pub of_day: bool,
 }
 
@@ -122,7 +121,7 @@ impl<'t, F: Format> Rows<'t, F> {
     /// Finds the header.
     ///
     /// # Errors
-    /// [`RecordingError`], as for [`Self::next_row`].
+    /// [`RecordingError`] as for [`Self::next_row`].
     pub fn of(file: &'t Path, text: &'t Text<'_>, format: &'t F) -> Result<Self, RecordingError> {
         if text.content.trim().is_empty() {
             return Err(F::empty(file, "the file is empty"));
@@ -145,7 +144,7 @@ impl<'t, F: Format> Rows<'t, F> {
         })
     }
 
-    /// Returns the next row of numbers, or `None` at the end.
+    /// Returns the next row of numbers, or `None` at the end of the file.
     ///
     /// # Errors
     /// [`RecordingError`] with line and column, for anything that must not be skipped.
@@ -187,7 +186,7 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(None)
     }
 
-    /// Returns whether a row is skipped: a repeated header, units below the header, or text if the format permits it.
+    /// Returns whether a row is skipped. This is a repeated header, units below the header, or text if the format permits it.
     fn is_skipped(&mut self, cells: &[&str]) -> bool {
         let names = &self.head.names;
         let is_number = |cell: &&str| text::number(cell).is_some_and(f64::is_finite);
@@ -249,7 +248,7 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(time)
     }
 
-    /// The time column, counted from 0.
+    /// The number of the time column, counted from 0.
     pub fn time_column(&self) -> usize {
         self.head.table.time.unwrap_or_default()
     }

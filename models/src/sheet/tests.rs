@@ -30,7 +30,7 @@ fn direct(text: &str) -> Result<Sheet, String> {
     read_as("me__1.csv", text, &Reading::default())
 }
 
-/// The recording that all files here contain, in our own format.
+/// The recording that all test files contain, in our own format.
 fn ours(axes: usize) -> Recording {
     let header = crate::recording::AXIS_NAMES[..axes].join(",");
     let text = format!("timestamp,{header}\n{}", rows(300, |t, v| format!("{t},{}", all(&v[..axes], ","))));
@@ -139,7 +139,7 @@ fn turns_in_radians_and_fields_in_gauss_are_questions_or_guesses() {
 
 #[test]
 fn times_may_be_equal_in_seconds_of_the_day_or_missing() {
-    // A millisecond clock at 104 Hz occasionally repeats a time.
+    // A clock that counts milliseconds occasionally repeats a time at 104 Hz.
     let mut last = 0.0;
     let text: String = (0..400)
         .map(|n| {

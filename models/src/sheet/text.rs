@@ -1,18 +1,18 @@
-//! Splits a file into lines of cells, for the formats of many programs and countries.
+//! Splits a file into lines of cells. It supports the formats of many programs and countries.
 
 use std::borrow::Cow;
 
 /// The separator between two cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Separator {
-    /// One character. Empty cells count as cells.
+    /// The separator is one character, and empty cells count as cells.
     Char(char),
-    /// Any number of blanks and tabs.
+    /// The separator is any number of blanks and tabs.
     Blanks,
 }
 
-/// Separators in the order of trial.
-/// Tabs and semicolons are unambiguous, a comma may be a decimal sign, and a blank may be part of a name.
+/// Separators in the order in which they are tried.
+/// Tabs and semicolons are unambiguous, but a comma may be a decimal sign, and a blank may be part of a name.
 const SEPARATORS: [Separator; 5] = [
     Separator::Char('\t'),
     Separator::Char(';'),
@@ -64,7 +64,7 @@ fn unquoted(cell: &str) -> &str {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Text<'b> {
     pub content: Cow<'b, str>,
-    /// The first line that is not UTF-8, from 1. It is read as Latin-1, which is permitted only in a header.
+    /// The first line that is not UTF-8 (from 1). The reader treats it as Latin-1, which is permitted only in a header.
     pub foreign_line: Option<u64>,
 }
 
@@ -94,7 +94,7 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
     char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
-/// Returns lines with their numbers from 1, for line ends of Unix, Windows and old Macs.
+/// Returns lines and their numbers (from 1). Line ends may be those of Unix, Windows or old Macs.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (u64, &str)> {
     let old_mac = !text.contains('\n');
     let end = if old_mac { '\r' } else { '\n' };
@@ -112,7 +112,7 @@ pub(super) fn number(cell: &str) -> Option<f64> {
     }
 }
 
-/// Parses cells of the form `name:value` (Arduino's serial plotter), if all cells have it.
+/// Parses cells of the form `name:value` (Arduino's serial plotter), if all cells have this form.
 pub(super) fn pairs<'a>(cells: &[&'a str]) -> Option<Vec<(&'a str, &'a str)>> {
     let pair = |cell: &&'a str| {
         let (name, value) = cell.rsplit_once(':').or_else(|| cell.rsplit_once('='))?;

@@ -1,14 +1,14 @@
-//! Simulated wearers, which generate recordings of the paper's seven classes.
+//! Simulates wearers, who generate recordings of the paper's seven classes.
 //!
 //! The paper's recordings are not public, so the bundled model learns from simulated hands.
 //! A [`Wearer`] has a size, tempo, posture, tremor and habits.
 //! A script of motions is converted to a smooth hand path,
 //! and a sensor model computes the readings of an LSM9DS1 on that hand.
-//! Everything depends only on the wearer's key.
-//! The same wearer therefore gives the same bytes on one machine, for any number of threads.
+//! All values depend only on the key of the wearer.
+//! On one machine, the same wearer therefore gives the same bytes for any number of threads.
 //!
 //! The simulation does *not* include the decisions of real people.
-//! Its results are therefore not valid for real hands, and every place that shows one must state this.
+//! Its results are therefore not valid for real hands, and every place that shows such a result must state this.
 
 mod path;
 mod sensor;
@@ -20,10 +20,10 @@ pub use wearer::{Group, Wearer};
 
 use crate::recording::Recording;
 
-/// Plays a script of motions in sequence and records it at 100 Hz with 9 axes.
+/// Plays a script of motions in sequence, and records the hand at 100 Hz with 9 axes.
 ///
 /// Within its segment, a gesture begins and ends at rest.
-/// `take` distinguishes recordings of the same wearer by other phases, noise and attention.
+/// `take` distinguishes recordings of the same wearer, which differ in phases, noise and attention.
 ///
 /// ```
 /// use models::synth::{Motion, Segment, Wearer, session};
@@ -37,12 +37,12 @@ pub fn session(wearer: &Wearer, take: u64, script: &[Segment]) -> Recording {
     sensor::record(wearer, &mut rng, &track)
 }
 
-/// A recording of a simulated wearer in a data set.
+/// A recording of a simulated wearer that is part of a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Take {
     /// The label, canonical.
     pub label: &'static str,
-    /// Number in the file name, and take of [`session`].
+    /// Number of the recording in the file name, and `take` of [`session`].
     pub number: u64,
     /// What is played.
     pub script: Vec<Segment>,
@@ -53,11 +53,11 @@ impl Take {
     pub const FIRST_PART: u64 = 101;
 }
 
-/// Returns the takes of one wearer: `seconds` of each gesture,
-/// and half as much of each kind of idle movement as `idle`.
+/// Returns the takes of one wearer. They contain `seconds` of each gesture,
+/// and half as much of each kind of idle movement, which has the label `idle`.
 /// `idle` also includes the beginning and end of gestures (at most 0.8 s in the window),
 /// which must not count as the gesture.
-/// In the recordings of a gesture, it fills at least three quarters of the window.
+/// In the recordings of a gesture, the gesture fills at least three quarters of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
     const EDGE_S: f64 = 0.4;
     const PART_S: f64 = 0.8;
@@ -81,7 +81,7 @@ pub fn takes(seconds: f64) -> Vec<Take> {
         takes.push(Take { label: "idle", number, script });
     }
     for (motion, number) in Motion::GESTURES.into_iter().zip(0..) {
-        // Cut from a longer gesture, so that its first or last second equals that in a session.
+        // This part of a longer gesture is cut so that its first or last second equals that in a session.
         let first = Segment::cut(motion, CUT_FROM_S, 0.0, PART_S);
         let last = Segment::cut(motion, CUT_FROM_S, CUT_FROM_S - PART_S, PART_S);
         for (kind, more) in [(IdleKind::Still, 0), (IdleKind::Reach, 50)] {
@@ -186,7 +186,7 @@ mod tests {
             }
             count
         };
-        // The axis (forward, left or up) perpendicular to the circle.
+        // The axis (forward, left or up) that is perpendicular to the circle.
         assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
         assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
     }

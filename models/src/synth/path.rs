@@ -1,9 +1,9 @@
-//! Hand paths: converts a script of motions to positions and postures over time.
+//! Computes hand paths: converts a script of motions to positions and postures over time.
 //!
 //! Positions are in the wearer's frame, relative to the resting point: x forward, y left, z up.
 //! Postures are roll, pitch, yaw.
 //! Every motion is a smooth function of time with an envelope that is flat at both ends (minimum jerk).
-//! The complete path therefore has a continuous acceleration.
+//! The complete path therefore has no jumps in acceleration.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 
-/// Number of path points per recorded sample, for smooth derivatives.
+/// Number of path points per recorded sample. It is larger than 1 so that derivatives are smooth.
 pub(super) const OVERSAMPLING: usize = 4;
 /// Time between path points in s.
 pub(super) const STEP_S: f64 = 1.0 / (RATE_HZ * OVERSAMPLING as f64);
@@ -28,7 +28,7 @@ pub enum Motion {
     UpDown,
     /// Strokes forward and back.
     ToFro,
-    /// Strokes from side to side.
+    /// Strokes from one side to the other and back.
     LeftRight,
     /// A vertical rectangle in front of the wearer.
     Rectangle,
@@ -41,26 +41,26 @@ pub enum Motion {
 /// Movements without a gesture, all labelled `idle`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum IdleKind {
-    /// Held as still as a hand can be.
+    /// The hand is held as still as a hand can be.
     Still,
     /// Small restless movement.
     Fidget,
-    /// Reaching for objects: single strokes to other positions, with pauses.
+    /// Reaching for objects, which is a series of single strokes to other positions, with pauses.
     Reach,
     /// Walking with the hand held still.
     Walk,
     /// Turning the hand over and back.
     Turn,
-    /// Moving and turning in all directions at any speed with few pauses: gesticulating, handling objects.
+    /// Moving and turning in all directions at any speed with few pauses, such as gesticulating or handling objects.
     Scatter,
-    /// Bursts of to-and-fro movement faster than any gesture: shaking a bottle, brushing, scratching, hammering.
+    /// Bursts of to-and-fro movement faster than any gesture, such as shaking a bottle, brushing, scratching or hammering.
     Shake,
 }
 
 impl IdleKind {
     /// The movements of a wearer between gestures.
     pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
-    /// All kinds: the movements of a wearer who makes no gestures.
+    /// All kinds of movement of a wearer who makes no gestures.
     pub const EVERY: [Self; 7] =
         [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter, Self::Shake];
 }
@@ -68,7 +68,7 @@ impl IdleKind {
 impl Motion {
     /// The hand held still.
     pub const IDLE: Self = Self::Idle(IdleKind::Still);
-    /// The six gestures in the paper's order.
+    /// The six gestures in the order of the paper.
     pub const GESTURES: [Self; 6] =
         [Self::UpDown, Self::ToFro, Self::LeftRight, Self::Rectangle, Self::RectangleFlat, Self::Circle];
 
@@ -91,20 +91,20 @@ impl Motion {
 pub struct Segment {
     /// What is done.
     pub motion: Motion,
-    /// Duration of the visible part in s.
+    /// Duration of the visible part in seconds.
     pub seconds: f64,
-    /// Duration of the complete motion, and start of the segment in it, in s.
+    /// Duration of the complete motion and start of the segment in it, both in seconds.
     whole_s: f64,
     from_s: f64,
 }
 
 impl Segment {
-    /// A complete motion from rest to rest.
+    /// A complete motion, which begins and ends at rest.
     pub fn new(motion: Motion, seconds: f64) -> Self {
         Self { motion, seconds, whole_s: seconds, from_s: 0.0 }
     }
 
-    /// A part of `seconds` from `from_s` on, of a motion that lasts `whole_s`.
+    /// The part of a motion of `whole_s` seconds that starts at `from_s` and lasts `seconds`.
     pub fn cut(motion: Motion, whole_s: f64, from_s: f64, seconds: f64) -> Self {
         Self { motion, seconds, whole_s, from_s }
     }
@@ -126,7 +126,7 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
         parts.push((start_s, end_s, Player::new(wearer, rng, segment)));
         end_s += segment.seconds;
     }
-    // An idle hand may rest in any posture, but one that makes gestures uses its normal posture.
+    // An idle hand may rest in any posture, but a hand that makes gestures uses its normal posture.
     let gestures = script.iter().any(|segment| !matches!(segment.motion, Motion::Idle(_)));
     let rest = if gestures {
         wearer.posture_rad
@@ -150,8 +150,8 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
                 }
             }
             let [x, y, z] = pose.position_m;
-            // The hand swings on an arm: moving left causes a yaw to the left, and moving up causes an upward pitch.
-            // The latter is a negative rotation about the y axis, which points left.
+            // The hand swings on an arm: a move to the left causes a yaw to the left, and a move up causes an upward pitch.
+            // This pitch is a negative rotation about the y axis, which points left.
             let swing = wearer.coupling / wearer.arm_m;
             let turn = [0.15 * swing * y, -swing * (z + 0.2 * x), swing * y];
             for axis in 0..3 {
@@ -163,11 +163,11 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
         .collect()
 }
 
-/// A smooth random function of time: several sines of random frequency and phase.
+/// A smooth random function of time, which is the sum of several sines with random frequencies and phases.
 struct Smooth([(f64, f64, f64); 5]);
 
 impl Smooth {
-    /// Frequencies are between `low_hz` and `high_hz`, with a standard deviation of `rms`.
+    /// The frequencies are between `low_hz` and `high_hz`, and the function has a standard deviation of `rms`.
     fn new(rng: &mut ChaCha8Rng, low_hz: f64, high_hz: f64, rms: f64) -> Self {
         let size = rms * (2.0f64 / 5.0).sqrt();
         Self([0; 5].map(|_| (rng.random_range(low_hz..high_hz), rng.random_range(0.0..TAU), size)))
@@ -178,13 +178,13 @@ impl Smooth {
     }
 }
 
-/// A transition from 0 to 1 with zero speed and acceleration at both ends.
+/// A transition from 0 to 1 whose speed and acceleration are zero at both ends.
 fn minimum_jerk(part: f64) -> f64 {
     let p = part.clamp(0.0, 1.0);
     p * p * p * (10.0 + p * (6.0 * p - 15.0))
 }
 
-/// The motion of one segment with all its random values.
+/// The motion of one segment, with all its random values.
 struct Player {
     whole_s: f64,
     onset_s: f64,
@@ -200,7 +200,7 @@ enum Kind {
         position: [Smooth; 3],
         posture: [Smooth; 3],
     },
-    /// Single moves: time, duration and displacement.
+    /// Single moves, each with time, duration and displacement.
     Moves(Vec<(f64, f64, BodyPose)>),
     Walk {
         step_hz: f64,
@@ -213,9 +213,9 @@ enum Kind {
     Shake {
         hz: f64,
         hurry: Smooth,
-        /// The hand shakes while this is above 0.
+        /// The hand shakes while this function is above 0.
         bursts: Smooth,
-        /// Amplitude and phase per direction.
+        /// Amplitude and phase of the shaking along each axis.
         position: [(f64, f64); 3],
         posture: [(f64, f64); 3],
     },
@@ -226,9 +226,9 @@ struct Periodic {
     hz: f64,
     start: f64,
     sense: f64,
-    /// Half size along the first and second direction of the shape.
+    /// Half of the size along the first and the second axis of the shape.
     size_m: [f64; 2],
-    /// Columns: first and second direction of the shape, and its normal.
+    /// The columns are the first and the second axis of the shape, and its normal.
     frame: [[f64; 3]; 3],
     slop: [(f64, f64); 3],
     second: (f64, f64),
@@ -333,9 +333,9 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
             wander: Smooth::new(rng, 0.1, 0.5, 0.3),
         },
         IdleKind::Shake => {
-            // The frequency is higher than that of gestures, which have up to 5 Hz.
+            // The frequency of shaking is higher than that of gestures, which have up to 5 Hz.
             let hz = rng.random_range(5.5f64.ln()..9.0f64.ln()).exp();
-            // The limits are on force and rotation, not on amplitude: 1 to 15 m/s² and 0.3 to 5 rad/s.
+            // The limits apply to force and rotation, not to amplitude: 1 to 15 m/s² and 0.3 to 5 rad/s.
             let reach_m = rng.random_range(0.0f64..2.7).exp() / (TAU * hz).powi(2);
             let turn_rad = rng.random_range(-1.2f64..1.6).exp() / (TAU * hz);
             // The movement is almost along one line.
@@ -355,7 +355,7 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
     }
 }
 
-/// Moves to positions near the resting point, with pauses between.
+/// Moves to positions near the resting point, and pauses between them.
 fn moves(
     rng: &mut ChaCha8Rng,
     seconds: f64,
@@ -374,7 +374,7 @@ fn moves(
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
-        // The last move returns in time for the next motion, with a short pause.
+        // The last move returns before the next motion starts, and a short pause follows it.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
             place = BodyPose::default();
@@ -407,7 +407,7 @@ impl Periodic {
         let speed_m_s = wearer.speed_m_s * normal(rng, 0.1, 0.25).exp();
         let half_m = match shape {
             Shape::Stroke | Shape::Circle => speed_m_s / (TAU * hz),
-            // The peak speed of a minimum-jerk side is 1.875 lengths per duration, with four sides per turn.
+            // The peak speed on a side (minimum jerk) is 1.875 lengths per duration, and a turn has four sides.
             Shape::Rectangle => 0.5 * speed_m_s * (1.0 - wearer.corner) / (1.875 * 4.0 * hz),
         }
         .min(0.35);
@@ -456,7 +456,7 @@ impl Periodic {
     }
 }
 
-/// Corner to corner of the square ±1: a turn from 0 to 1 goes around once, and rests for `corner` of each side.
+/// Goes from corner to corner of the square ±1. A turn from 0 to 1 goes around once, and rests for `corner` of each side.
 fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
     let along = turn.rem_euclid(1.0) * 4.0;
     let side = along.floor();
@@ -469,7 +469,7 @@ fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
     }
 }
 
-/// Returns the rotation matrix (rows) of roll about x, then pitch about y, then yaw about z.
+/// Returns the rotation matrix (by rows) of roll about x, then pitch about y, then yaw about z.
 pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
     let (sr, cr) = roll.sin_cos();
     let (sp, cp) = pitch.sin_cos();

@@ -14,13 +14,13 @@ const GRAVITY: f64 = 9.806_65;
 
 /// One of the three sensors on the chip.
 struct Sensor {
-    /// Value of one count, from the data sheet, for the range below.
+    /// Value of one count according to the data sheet, for the range below.
     unit: f64,
     /// Maximum value of the range.
     range: f64,
     /// Standard deviation of the noise at 100 Hz.
     noise: f64,
-    /// Decimals in the CSV file.
+    /// Number of decimals in the CSV file.
     decimals: i32,
 }
 
@@ -31,7 +31,7 @@ const SENSORS: [Sensor; 3] = [
     Sensor { unit: 0.014, range: 400.0, noise: 0.4, decimals: 2 },
 ];
 
-/// Records a path with `OVERSAMPLING` points per sample (and one more at each end) at 100 Hz.
+/// Records a path at 100 Hz. The path has `OVERSAMPLING` points per sample, and one more at each end.
 pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) -> Recording {
     let count = (track.len() - 2) / OVERSAMPLING;
     let heading_rad = rng.random_range(0.0..std::f64::consts::TAU);
@@ -47,7 +47,7 @@ pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) 
     for n in 0..count {
         let mut force = [0.0; 3];
         let mut rate = [0.0; 3];
-        // The sensor's own filter averages over the sample.
+        // The filter inside the sensor averages over the sample.
         for k in 0..OVERSAMPLING {
             let at = 1 + n * OVERSAMPLING + k;
             let [before, here, after] = [&track[at - 1], &track[at], &track[at + 1]];
@@ -73,7 +73,7 @@ pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) 
     Recording::new(9, time_ms, values)
 }
 
-/// Computes a reading of one sensor: gain, offset, noise, clipping, counts, and the file's decimals.
+/// Computes a reading of one sensor, with gain, offset, noise, clipping, counts, and the decimals of the file.
 fn read(wearer: &Wearer, rng: &mut ChaCha8Rng, which: usize, truth: [f64; 3]) -> [f32; 3] {
     let sensor = &SENSORS[which];
     std::array::from_fn(|axis| {
@@ -96,7 +96,7 @@ fn into_board(turn: &[[f64; 3]; 3], vector: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|column| (0..3).map(|row| turn[row][column] * vector[row]).sum())
 }
 
-/// Computes the turn rate in the board's frame from two postures one step apart, in deg/s.
+/// Computes the turn rate in the board's frame (in deg/s) from two postures one step apart.
 fn turn_rate_deg_s(from: &[[f64; 3]; 3], to: &[[f64; 3]; 3]) -> [f64; 3] {
     // The relative rotation is fromᵀ·to. For a small angle, its antisymmetric part is the angle.
     let relative = |i: usize, j: usize| (0..3).map(|k| from[k][i] * to[k][j]).sum::<f64>();

@@ -1,4 +1,4 @@
-//! The person who wears the glove: body, habits, and the errors of the board's sensors.
+//! The person who wears the glove, with a body, habits, and the errors of the board's sensors.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -6,19 +6,19 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The purpose of a simulated wearer. Groups have different keys, so that no wearer is in two groups.
+/// The purpose of a simulated wearer. Each group has different keys, so that no wearer is in two groups.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Group {
     /// Models learn from these.
     Training,
     /// Wearers for testing models.
     Evaluation,
-    /// Wearers for the bundled demonstration, whom no model has learned.
+    /// Wearers for the bundled demonstration. No model has learned their movements.
     Demo,
 }
 
 impl Group {
-    /// First letter of the wearers' names, and the byte of the key that separates groups.
+    /// First letter of the wearers' names, which is also the byte of the key that separates groups.
     pub fn letter(self) -> char {
         match self {
             Self::Training => 't',
@@ -28,13 +28,13 @@ impl Group {
     }
 }
 
-/// One simulated person with one board. Lengths are in m, angles in rad, times in s.
+/// One simulated person with one board. Lengths are in m, angles are in rad, and times are in s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wearer {
     /// Name of the person in file names: `t0007`, `e0001`, `d0001`.
     pub name: String,
     key: [u8; 32],
-    /// Peak speed of the hand in a gesture, m/s.
+    /// Peak speed of the hand in a gesture, in m/s.
     pub(super) speed_m_s: f64,
     /// Strokes (to and back) per second.
     pub(super) stroke_hz: f64,
@@ -44,30 +44,30 @@ pub struct Wearer {
     pub(super) rectangle_hz: f64,
     /// Distance from the joint about which the hand swings.
     pub(super) arm_m: f64,
-    /// Rotation of the hand with the arm: 0 remains parallel, 1 rotates fully.
+    /// Rotation of the hand with the arm: with 0 the hand keeps its direction, and with 1 it rotates fully.
     pub(super) coupling: f64,
-    /// Normal roll, pitch and yaw of the board relative to the wearer's direction.
+    /// Normal roll, pitch and yaw of the board relative to the direction in which the wearer looks.
     pub(super) posture_rad: [f64; 3],
     /// Tilt of the plane and direction of gestures.
     pub(super) tilt_rad: [f64; 3],
-    /// Rotation of the plane of circles from the vertical one, about y and about z.
+    /// Rotation of the plane of circles away from the vertical plane, about y and about z.
     pub(super) circle_rad: [f64; 2],
     /// Relative size of the movement perpendicular to the intended one.
     pub(super) slop: f64,
     /// Relative variation of size and tempo.
     pub(super) wander: f64,
-    /// Fraction of a rectangle's side spent at rest in its corner.
+    /// Fraction of the time on a rectangle's side that the hand rests in its corner.
     pub(super) corner: f64,
-    /// Height to width of shapes.
+    /// Ratio of height to width of shapes.
     pub(super) aspect: f64,
     /// Probability of drawing shapes clockwise.
     pub(super) clockwise: f64,
-    /// Frequency and size of the tremor as a rotation of the hand.
+    /// Frequency of the tremor, and its size as a rotation of the hand.
     pub(super) tremor_hz: f64,
     pub(super) tremor_rad: f64,
     /// Time from rest to the full gesture and back.
     pub(super) onset_s: f64,
-    /// Earth field at the wearer's position: strength in µT and inclination.
+    /// Magnetic field of the earth at the wearer's position: strength in µT, and inclination.
     pub(super) field_ut: f64,
     pub(super) inclination_rad: f64,
     /// Sensor offsets: m/s², deg/s, µT.
@@ -121,8 +121,8 @@ impl Wearer {
             onset_s: r.random_range(0.25..0.5),
             field_ut: r.random_range(28.0..60.0),
             inclination_rad: r.random_range(0.7..1.25),
-            // Values from the LSM9DS1 data sheet: ±90 mg, ±30 deg/s, and hard iron on the hand.
-            // Boards subtract the turn rate at rest, so little of it remains.
+            // The LSM9DS1 data sheet gives ±90 mg and ±30 deg/s; iron on the hand adds to the magnetic field.
+            // Boards subtract the turn rate at rest, so little of that offset remains.
             offset: [
                 [0; 3].map(|_| normal(r, 0.25, 0.88)),
                 [0; 3].map(|_| normal(r, 1.0, 4.0)),
@@ -133,7 +133,7 @@ impl Wearer {
         }
     }
 
-    /// Returns the same person with habits as diverse as those of real people without instructions.
+    /// Returns the same person with other habits, as diverse as those of real people without instructions.
     /// The tempo is halved or doubled, circles are in any plane,
     /// and the hand rotates with the arm as if from the elbow.
     #[must_use]
@@ -163,13 +163,13 @@ impl Wearer {
 /// The uses of a wearer's random numbers. Each has its own stream, like [`RandomStream`](crate::streams::RandomStream).
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Draws {
-    /// The take of this number.
+    /// The take that has this number.
     Take(u64),
     /// Habits of a person without instructions.
     Habits,
 }
 
-/// Group, seed and index are adjacent, so two groups can never share a key.
+/// Group, seed and index occupy adjacent bytes, so two groups can never share a key.
 fn key(group: Group, seed: u64, index: u32) -> [u8; 32] {
     let mut key = [0; 32];
     key[..8].copy_from_slice(b"bimanual");
@@ -203,7 +203,7 @@ mod tests {
                 }
             }
         }
-        // For any seed and index, the byte of the group contains only its letter.
+        // For any seed and index, only the letter is in the byte of the group.
         assert!(groups.iter().all(|&g| key(g, u64::MAX, u32::MAX)[8] == g.letter() as u8));
     }
 

@@ -1,7 +1,7 @@
-//! Reads tables of a flatbuffer and validates every access.
+//! Reads the tables of a flatbuffer and checks every access.
 //!
 //! A table starts with a signed distance back to its vtable.
-//! The vtable lists the offset of each field in the table; 0 means absent.
+//! The vtable lists the offset of each field in the table; 0 means that the field is absent.
 //! Strings, vectors and sub-tables are forward offsets from their own position.
 //! Every access is checked against the buffer.
 //! Only vtables are reached backwards, and they contain no offsets, so reading terminates.
@@ -35,7 +35,7 @@ fn follow(bytes: &[u8], at: usize) -> Result<usize, TfliteError> {
 }
 
 impl<'a> Table<'a> {
-    /// The table at the beginning of the buffer.
+    /// The table at which the buffer begins.
     pub fn root(bytes: &'a [u8]) -> Result<Self, TfliteError> {
         Self::at(bytes, follow(bytes, 0)?)
     }
@@ -51,7 +51,7 @@ impl<'a> Table<'a> {
         Ok(Self { bytes, at, vtable, vtable_len })
     }
 
-    /// The position of a field, if it is present.
+    /// The position of a field, if the table contains it.
     fn field(&self, id: usize) -> Result<Option<usize>, TfliteError> {
         let slot = 4 + 2 * id;
         if slot + 2 > self.vtable_len {
@@ -89,7 +89,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// The bytes of a vector whose elements have `size` bytes. An absent vector is empty.
+    /// The bytes of a vector whose elements have `size` bytes. An absent vector counts as empty.
     fn vector(&self, id: usize, size: usize) -> Result<(usize, &'a [u8]), TfliteError> {
         let Some(at) = self.field(id)? else { return Ok((0, &[])) };
         let at = follow(self.bytes, at)?;

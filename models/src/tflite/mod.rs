@@ -1,14 +1,14 @@
-//! TFLite files of dense networks: reading and writing.
+//! Reads and writes TFLite files of dense networks.
 //!
 //! The supported networks are chains of FULLY_CONNECTED layers (with ReLU, ReLU6 or none, with or without biases).
-//! All layers must be float32, or all must be int8 as exporters write it.
+//! All layers must be float32, or all must be int8 in the way that exporters write it.
 //! In int8, there is one scale per tensor or per channel (symmetric weights, int32 biases,
 //! softmax output 1/256 at −128).
 //! QUANTIZE and DEQUANTIZE are supported at the ends, with inputs and outputs of int8, uint8 or float32,
 //! and RESHAPE in between.
-//! A network that ends in logits gets our own softmax ([`End`]).
-//! Int8 networks are computed exactly like TFLite's reference kernels, and anything else is refused by name.
-//! The reader is our own: a damaged file is an error, and never causes a panic or much memory use.
+//! If a network ends in logits, our own softmax follows ([`End`]).
+//! Int8 networks give exactly the results of TFLite's reference kernels. Any other network is refused, and the error names the reason.
+//! The reader is our own. A damaged file causes an error, and never a panic or much memory use.
 
 mod flat;
 mod names;
@@ -22,7 +22,7 @@ pub use write::write;
 
 /// Bytes 4..8 of every TFLite file.
 const IDENTIFIER: &[u8; 4] = b"TFL3";
-/// Maximum size of a file. Ours have about 6 KB, or 14 KB in float.
+/// Maximum size of a file. Our files have about 6 KB, or 14 KB in float.
 pub const MAX_BYTES: usize = 1 << 20;
 /// Maximum number of layers in a file.
 pub const MAX_LAYERS: usize = 8;
@@ -60,7 +60,7 @@ pub struct FloatLayer {
     pub relu: bool,
 }
 
-/// A network from a file. A softmax follows the last layer, even if the file ends in logits.
+/// A network from a file. A softmax follows its last layer, even if the file ends in logits.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Network {
     /// float32 in and out.
@@ -84,7 +84,7 @@ pub enum TfliteError {
          SOFTMAX at the end can be used (and QUANTIZE, DEQUANTIZE and RESHAPE around them): train a dense network"
     )]
     ForeignOperator {
-        /// Index in the graph, from 0.
+        /// Index of the operator in the graph, from 0.
         index: usize,
         /// The operator's name.
         name: String,
@@ -129,7 +129,7 @@ pub fn infer_float(layers: &[FloatLayer], inputs: &[f32]) -> Vec<f32> {
     softmax(&values)
 }
 
-/// Probabilities from a network's last values.
+/// Returns the probabilities that follow from a network's last values.
 pub(crate) fn softmax(values: &[f32]) -> Vec<f32> {
     let largest = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let powers: Vec<f32> = values.iter().map(|v| (v - largest).exp()).collect();

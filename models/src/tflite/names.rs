@@ -1,6 +1,6 @@
-//! Names of the schema's numbers, for errors.
+//! Names for the numbers in TFLite's schema, which errors show.
 
-/// Builtin operators in the order of their numbers.
+/// The built-in operators in the order of their numbers.
 #[rustfmt::skip]
 const OPERATORS: [&str; 165] = [
     "ADD", "AVERAGE_POOL_2D", "CONCATENATION", "CONV_2D", "DEPTHWISE_CONV_2D", "DEPTH_TO_SPACE", "DEQUANTIZE",

@@ -5,10 +5,10 @@ use shared_dsp::right::network::DenseSpec;
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
-/// Maximum number of other operators: QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
+/// Maximum number of other operators, which are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
-/// The output of a file's last operator. Our own softmax is computed in either case.
+/// The output of the last operator in a file. In either case, our own softmax computes the probabilities.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// Probabilities.
@@ -28,7 +28,7 @@ struct Tensor<'a> {
     data: &'a [u8],
     scales: Vec<f32>,
     zero_points: Vec<i64>,
-    /// The dimension of the channels that have individual scales.
+    /// The dimension along which channels have individual scales.
     dimension: i32,
 }
 
@@ -43,7 +43,7 @@ impl Tensor<'_> {
         }
     }
 
-    /// Returns the same for an int8 tensor.
+    /// Returns the only scale and zero point of an int8 tensor of activations.
     fn int8(&self, what: &str) -> Result<(f32, i8), TfliteError> {
         self.expect(schema::INT8, what)?;
         let (scale, zero) = self.quantisation(what)?;
@@ -68,7 +68,7 @@ impl Tensor<'_> {
         names::tensor_type(self.kind)
     }
 
-    /// Returns rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes per element.
+    /// Returns the numbers of rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes per element.
     fn matrix(&self, size: usize) -> Result<(usize, usize), TfliteError> {
         let &[rows, columns] = self.shape.as_slice() else {
             return unsupported(format!("weights of shape {:?}", self.shape));
@@ -80,7 +80,7 @@ impl Tensor<'_> {
         }
     }
 
-    /// Returns the number of values of one example: the product of the shape's dimensions without open ones.
+    /// Returns the number of values of one example, which is the product of the shape's dimensions without open ones.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }
@@ -114,7 +114,7 @@ pub fn read(bytes: &[u8]) -> Result<Network, TfliteError> {
     Ok(read_to_end(bytes)?.0)
 }
 
-/// Like [`read`], but also returns the end of the file's network.
+/// Like [`read`], but also returns what the network in the file ends with.
 ///
 /// # Errors
 /// [`TfliteError`].
@@ -148,14 +148,14 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     for (index, operator) in operators.iter().enumerate() {
         let code_index = usize::try_from(operator.i32(0, 0)?).map_err(|_| TfliteError::Damaged)?;
         let code = codes.get(code_index).ok_or(TfliteError::Damaged)?;
-        // Old files have only the byte field, and new ones have both.
+        // Old files have only the field of type byte, and new files have both fields.
         let number = code.i32(3, 0)?.max(i32::from(code.i8(0, 0)?));
         let name = || -> Result<String, TfliteError> { Ok(names::operator(number, code.text(1)?)) };
         let inputs = operator.i32s(1)?;
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
-        // If the batch size is open, the shape of a RESHAPE is computed and checked there.
+        // If the batch size is open, these operators compute the shape of a RESHAPE. It is checked at the RESHAPE.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
         if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;
@@ -191,12 +191,12 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     chain.finish()
 }
 
-/// The part of the chain of operators that has been read.
+/// The part of the chain of operators that has been read so far.
 struct Chain {
     floats: Vec<FloatLayer>,
     ints: Vec<DenseSpec>,
     end: Option<End>,
-    /// After the last layer, values are no longer int8, so nothing can follow.
+    /// After the last layer, values are no longer int8, so no operator can follow.
     over: bool,
     widths: Vec<(usize, usize)>,
 }
@@ -323,7 +323,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Processes QUANTIZE at the ends: float or uint8 to int8, or int8 to uint8.
+    /// Processes QUANTIZE at either end of the network: float or uint8 to int8, or int8 to uint8.
     /// Other changes of scale are not supported.
     fn quantize(&mut self, before: &Tensor<'_>, after: &Tensor<'_>) -> Result<(), TfliteError> {
         let begins = self.floats.is_empty() && self.ints.is_empty();

@@ -7,8 +7,8 @@ use super::{Network, schema};
 /// A finished table.
 type Finished = WIPOffset<TableFinishedWIPOffset>;
 
-/// A byte of a buffer of constants, which the schema aligns to 16 bytes.
-/// Only its alignment is used, when such a vector starts.
+/// A byte in a buffer of constants, which the schema aligns to 16 bytes.
+/// The type only provides the alignment at which such a vector starts.
 struct Aligned16(u8);
 
 impl Push for Aligned16 {
@@ -23,7 +23,7 @@ impl Push for Aligned16 {
     }
 }
 
-/// Returns the slot of a field in a vtable.
+/// Returns the slot in a vtable that belongs to a field.
 fn slot(id: u16) -> u16 {
     4 + 2 * id
 }
@@ -35,7 +35,7 @@ struct Writer<'a> {
     operators: Vec<Finished>,
 }
 
-/// The properties of a tensor. Only quantised ones have scales (one, or one per channel) and a zero point.
+/// The properties of a tensor. Only quantised tensors have scales (one, or one per channel) and a zero point.
 struct Tensor<'a> {
     name: &'a str,
     shape: &'a [i32],
@@ -131,10 +131,10 @@ struct Constants {
     quantisation: Option<Scales>,
 }
 
-/// Scales of weights and biases, and then scale and zero point of the outputs.
+/// Scales of weights and biases, and the scale and zero point of the outputs.
 type Scales = (Vec<f32>, Vec<f32>, (f32, i64));
 
-/// Returns a TFLite file with this network: one input `[1, inputs]`, one output `[1, labels]`.
+/// Returns a TFLite file with this network, which has one input `[1, inputs]` and one output `[1, labels]`.
 pub fn write(network: &Network) -> Vec<u8> {
     let int32 = |values: &[i32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let float = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();

@@ -11,16 +11,16 @@ use crate::labels::OTHER;
 use crate::streams::RandomStream;
 use crate::windows::{aligned_features, cut, prepare};
 
-/// Number of varied copies of each window of a new person.
+/// Number of varied copies of each window that a new person shows.
 const COPIES_OF_NEW: usize = 60;
 
-/// Adapts a model to another person with a few windows ([`WINDOW`] samples each) and their labels.
+/// Adapts a model to another person with a few windows ([`WINDOW`] samples each) and the windows' labels.
 /// Labels and scaling remain unchanged, and rehearsal preserves the knowledge about other people.
-/// The movement in `daily` remains without a gesture; otherwise,
-/// three circles would make getting up from a chair a circle.
+/// The movement in `daily` still counts as no gesture. Otherwise, after three circles the model would mistake getting up
+/// from a chair for a circle.
 ///
 /// # Errors
-/// If the result cannot be quantised.
+/// Fails if the result cannot be quantised.
 pub fn adapt(
     model: &Trained,
     memory: &Memory,
@@ -29,7 +29,7 @@ pub fn adapt(
     daily: &Daily,
     seed: u64,
 ) -> Result<Trained, TrainError> {
-    // A quarter suffices beside 4,096 remembered rows.
+    // A quarter of the daily movement suffices beside 4,096 remembered rows.
     // With all of the daily movement, the model is less certain about the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
@@ -51,7 +51,7 @@ pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
     cut(&prepare(recording).0)
 }
 
-/// Returns the labelled inputs for training: half of them are new, and half are remembered.
+/// Returns the labelled inputs for training. Half of them are new, and half come from the memory.
 fn rows(
     card: &Card,
     memory: &Memory,
@@ -63,7 +63,7 @@ fn rows(
     let mut new = Vec::new();
     for (window, label) in examples {
         let kind = Kind::of(&card.labels[*label]);
-        // The number of axes that the recipe reads, which may be fewer than the board's.
+        // The number of axes that the recipe reads. It may be smaller than the board's.
         let axes = window.len() / WINDOW;
         let mut add = |window: &[f32]| {
             new.push((crate::evaluate::score::standardise(card, &aligned_features(axes, window)), *label));

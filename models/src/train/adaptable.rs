@@ -1,4 +1,4 @@
-//! A model with everything that is needed to teach it one more person.
+//! A model with all files that are needed to adapt it to one more person.
 
 use std::path::{Path, PathBuf};
 
@@ -16,17 +16,17 @@ use crate::tflite::{self, Network};
 pub struct Adaptable {
     /// The model.
     pub model: Trained,
-    /// What it remembers of those whom it knows.
+    /// What the model remembers of the people whom it knows.
     pub memory: Memory,
 }
 
-/// Why a model cannot be taught one more person; the text says what to do.
+/// The reason why a model cannot be adapted to one more person. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum AdaptError {
-    /// Its file or its card cannot be used.
+    /// The model's file or its card cannot be used.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// It is of another recipe.
+    /// The model was trained with another recipe.
     #[error(
         "{file}: made with the features {features:?}; only models of `models train --recipe aligned` can be adapted"
     )]
@@ -36,7 +36,7 @@ pub enum AdaptError {
         /// Its features.
         features: String,
     },
-    /// A file beside it is missing.
+    /// A file that must be beside the model is missing.
     #[error("{file}: {source}; needed beside the model, copy it there")]
     Beside {
         /// The file.
@@ -49,13 +49,13 @@ pub enum AdaptError {
     Float {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// The problem with the network.
         what: String,
     },
-    /// The memory cannot be used.
+    /// The memory file cannot be used.
     #[error(transparent)]
     Memory(#[from] MemoryError),
-    /// A recording of a label that the model does not know.
+    /// A recording has a label that the model does not know.
     #[error("{file}: the model does not know {label:?}, only {known}")]
     Label {
         /// The recording.
@@ -65,16 +65,16 @@ pub enum AdaptError {
         /// The model's labels.
         known: String,
     },
-    /// The result cannot be made or written.
+    /// The adapted model cannot be created or written.
     #[error(transparent)]
     Train(#[from] TrainError),
 }
 
 impl Adaptable {
-    /// A model's files; the float network and the memory lie beside it.
+    /// Reads the files of a model. The float network and the memory must be beside it.
     ///
     /// # Errors
-    /// [`AdaptError`] if one is missing, damaged or not fit for it.
+    /// [`AdaptError`] if a file is missing, damaged or unsuitable.
     pub fn read(model: &Path) -> Result<Self, AdaptError> {
         let files = ModelFiles::read(model)?;
         let beside = |ending: &str| -> Result<(PathBuf, Vec<u8>), AdaptError> {
@@ -92,7 +92,7 @@ impl Adaptable {
     /// The bundled model.
     ///
     /// # Errors
-    /// [`AdaptError`] if the files that were compiled in do not belong together.
+    /// [`AdaptError`] if the files that were compiled into the program do not match.
     pub fn bundled() -> Result<Self, AdaptError> {
         let files = bundled::files()?;
         let file = Path::new("right-aligned.tflite");
@@ -122,10 +122,10 @@ impl Adaptable {
         })
     }
 
-    /// The model after it has learnt these recordings of one person; its name is `name`.
+    /// Returns the model after it has learned these recordings of one person; `name` is the name of the new model.
     ///
     /// # Errors
-    /// [`AdaptError`] for a label that it does not know, or if no model can be made.
+    /// [`AdaptError`] if the model does not know a label, or if no model can be created.
     pub fn adapted(
         &self,
         recordings: &Dataset,

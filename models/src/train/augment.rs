@@ -1,4 +1,4 @@
-//! Varies recordings to simulate other hands, other days and other places.
+//! Varies recordings, to simulate other hands and other days and places.
 
 use std::fmt;
 
@@ -8,28 +8,28 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::recording::Recording;
 
-/// The variation of recordings. Values are standard deviations of normal distributions unless noted.
+/// The variation of recordings. Values are standard deviations of normal distributions unless the text says otherwise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Augmentation {
     /// Varied copies per recording.
     pub copies: usize,
     /// Rotation of the board on the hand about a random axis, in degrees.
     pub turn_deg: f64,
-    /// Size of the movement, logarithm.
+    /// Logarithm of the size of the movement.
     pub size: f64,
     /// Tempo, logarithm.
     pub tempo: f64,
-    /// Nearby iron: offset of the magnetometer in µT.
+    /// Effect of nearby iron: offset of the magnetometer in µT.
     pub iron_ut: f64,
     /// Maximum rotation of the wearer relative to north in degrees, uniform.
     pub heading_deg: f64,
 }
 
 impl Augmentation {
-    /// The variation of recipe `log-power`.
+    /// The variation that recipe `log-power` uses.
     pub const NONE: Self =
         Self { copies: 0, turn_deg: 0.0, size: 0.0, tempo: 0.0, iron_ut: 0.0, heading_deg: 0.0 };
-    /// The variation of the recipe `log-power`.
+    /// Returns the variation that recipe `log-power` uses.
     pub const DEFAULT: Self =
         Self { copies: 6, turn_deg: 8.0, size: 0.1, tempo: 0.08, iron_ut: 3.0, heading_deg: 30.0 };
 
@@ -51,7 +51,7 @@ impl Augmentation {
         let mean: Vec<f64> = (0..axes)
             .map(|a| rows.iter().map(|row| f64::from(row[a])).sum::<f64>() / rows.len() as f64)
             .collect();
-        // Gravity is the mean of the accelerometer, and the axis of the heading.
+        // The mean of the accelerometer is gravity, which is also the axis of the heading.
         let about_up = rotation([mean[0], mean[1], mean[2]], heading);
         let count = ((rows.len() - 1) as f64 / tempo).floor() as usize + 1;
         let mut values = Vec::with_capacity(count * axes);
@@ -97,7 +97,7 @@ impl fmt::Display for Augmentation {
     }
 }
 
-/// Returns the rotation by `angle` about `axis` (of any length but 0).
+/// Returns the rotation by `angle` about `axis` (of any length except 0).
 pub(super) fn rotation(axis: [f64; 3], angle: f64) -> [[f64; 3]; 3] {
     let length = axis.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
     let [x, y, z] = axis.map(|v| v / length);

@@ -1,4 +1,4 @@
-//! Trains in epochs that each use every window once, for recipes whose held-out recordings determine the end.
+//! Trains in epochs, each of which uses every window once. Recipes use this if held-out recordings determine the end.
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -19,14 +19,14 @@ pub struct Epochs {
     pub hidden: &'static [usize],
     /// Maximum number of epochs.
     pub most: usize,
-    /// Number of epochs without a lower validation loss before the learning rate is halved.
-    /// Training ends after `halvings` of these. `None` means a constant rate.
+    /// Number of epochs without a lower validation loss after which the learning rate is halved.
+    /// Training ends after this number of `halvings`. `None` means a constant rate.
     pub patience: Option<usize>,
     /// Maximum number of halvings of the learning rate.
     pub halvings: usize,
     /// Windows per step.
     pub batch: usize,
-    /// Learning rate at the start.
+    /// Learning rate at the start of the training.
     pub learning_rate: f64,
     /// Decay of weights (AdamW).
     pub weight_decay: f64,
@@ -34,7 +34,7 @@ pub struct Epochs {
     pub label_smoothing: f32,
 }
 
-/// He initialisation with our own random numbers, because candle's are not seeded on the CPU.
+/// He initialisation with our own random numbers, because candle's numbers have no seed on the CPU.
 fn random_layers(widths: &[usize], rng: &mut ChaCha8Rng) -> Result<Layers> {
     let mut layers = Vec::new();
     for pair in widths.windows(2) {
@@ -55,7 +55,7 @@ fn exported(net: &Layers) -> Result<Vec<FloatLayer>> {
     export(net.iter().map(|(weights, biases)| (weights.as_tensor(), biases.as_tensor())))
 }
 
-/// Rows of inputs with their target distributions.
+/// Rows of inputs, and their target distributions.
 struct Rows {
     inputs: Tensor,
     targets: Tensor,
@@ -68,7 +68,7 @@ impl Rows {
             counts[*label] += 1;
         }
         let present = counts.iter().filter(|count| **count > 0).count().max(1);
-        // Rare labels get a larger weight, but only by the square root, because they are also noisier.
+        // Rare labels get a larger weight. It grows only with the square root, because rare labels are also noisier.
         let weight =
             |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
         let width = set.first().map_or(0, |(input, _)| input.len());
@@ -108,7 +108,7 @@ impl Rows {
 }
 
 /// Trains a network. Its `check` rows determine the end of training and the final weights.
-/// If there are too few recordings for them, the training windows are used instead.
+/// If there are too few recordings for such rows, the training windows are used instead.
 pub(super) fn fit(learnt: &Learnt<'_>, plan: &Epochs, seed: u64, progress: &ProgressBar) -> Result<Fitted> {
     on_one_thread(|| fit_here(learnt, plan, seed, progress))
 }

@@ -1,5 +1,5 @@
-//! Fitting in a fixed number of steps, and that in plain loops: the networks are so small that a library would bring a
-//! hundred crates and no speed. [`adapt`](super::adapt) learns with it; new networks are fitted by the same plan in
+//! Trains a network in a fixed number of steps with plain loops. The networks are so small that a library would add a
+//! hundred crates and no speed. [`adapt`](super::adapt) uses this code; new networks are trained by the same plan in
 //! `steps`, which a test compares.
 
 use rand::Rng;
@@ -9,29 +9,29 @@ use super::quantise;
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
-/// How to fit in steps.
+/// The parameters of training in steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Steps {
-    /// Number of steps, at least.
+    /// Minimum number of steps.
     pub count: usize,
-    /// Number of steps, at most: between the two they follow what there is to learn ([`Steps::following`]).
+    /// Maximum number of steps. Between both limits, the amount of data determines the number ([`Steps::following`]).
     pub most: usize,
     /// Windows per step.
     pub batch: usize,
     /// Largest learning rate (Adam).
     pub learning_rate: f64,
-    /// Steps until it is reached.
+    /// Number of steps until the maximum learning rate is reached.
     pub warm_up: usize,
-    /// Share of the probability that is spread over all labels.
+    /// Fraction of the probability that is distributed over all labels.
     pub label_smoothing: f32,
     /// Weight of the sum of squared weights in the loss.
     pub decay: f64,
-    /// Share that the average of the weights keeps per step, in the long run.
+    /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
-    /// Networks that are fitted from different starts and merged into one; recipe `aligned` says how wide
-    /// each is.
+    /// Number of networks that start from different weights and are merged into one. Recipe `aligned` defines
+    /// their widths.
     pub members: usize,
-    /// Steps after that in which weights and activations are rounded as int8 rounds them.
+    /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
 }
 
@@ -49,12 +49,12 @@ impl Steps {
         members: crate::ALIGNED_MEMBERS,
         rounded: 300,
     };
-    /// For a network that only has to learn one more person.
+    /// The plan for a network that only has to learn one more person.
     pub const ADAPT: Self =
         Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
-    /// As many steps as these windows of recordings and varied copies of them need: each is seen sixteen times. Thirty people
-    /// who are seen four times each are known three to four points worse.
+    /// Returns the number of steps for these windows of recordings and their varied copies, so that each is seen sixteen times.
+    /// If thirty people's windows are seen only four times each, the accuracy is three to four points lower.
     pub fn following(self, windows: usize) -> Self {
         const TIMES: usize = 16;
         let wanted = (TIMES * windows).div_ceil(self.batch.max(1));
@@ -62,17 +62,17 @@ impl Steps {
         Self { count, most: count, ..self }
     }
 
-    /// The steps at the end that take int8's rounding into account.
+    /// Number of steps at the end that simulate int8 rounding.
     pub(super) fn last(self) -> Self {
         Self { count: self.rounded, most: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
     }
 }
 
-/// Adam's memory of the gradients and of their squares.
+/// Adam's running means of the gradients and of their squares.
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
 
-/// Fits a network that exists to rows of inputs with their labels, rare labels counting as much as common ones. `limit` is
+/// Trains an existing network on rows of inputs and their labels. Rare labels count as much as common ones. `limit` is
 /// the largest input.
 pub(super) fn refit(
     rows: &[(Vec<f32>, usize)],
@@ -95,15 +95,15 @@ pub(super) fn refit(
     layers
 }
 
-/// How int8 will round a network, for steps that see it: the gradient passes as if nothing was rounded.
+/// The rounding that int8 will cause, for training steps that simulate it. The gradient passes as if nothing was rounded.
 struct Rounding {
     /// Largest input.
     limit: f32,
-    /// Per layer, smallest and largest output.
+    /// Smallest and largest output of each layer.
     ranges: Vec<(f32, f32)>,
 }
 
-/// Values that an optimiser changes, with what it remembers of each, and their average over the steps.
+/// Values that an optimiser changes, with its running means for each, and the average of the values over the steps.
 struct Changing {
     values: Vec<f32>,
     gradient: Vec<f32>,
@@ -117,7 +117,7 @@ impl Changing {
         Self { gradient: zeros(), moments: [zeros(), zeros()], average: values.clone(), values }
     }
 
-    /// Takes a step against the gradient, which is emptied. `time` counts the steps from 1.
+    /// Takes a step against the gradient, and then sets the gradient to zero. `time` counts the steps from 1.
     fn step(&mut self, rate: f64, time: usize, keep: f32) {
         let [first, second] = BETAS.map(|beta| 1.0 / (1.0 - beta.powi(time as i32)));
         let [keep_first, keep_second] = BETAS.map(|beta| beta as f32);
@@ -135,18 +135,18 @@ impl Changing {
     }
 }
 
-/// A layer while it is fitted, with what it made of the batch.
+/// A layer during training, with the values that it computed for the batch.
 struct Fitting {
     inputs: usize,
     outputs: usize,
-    /// Those of an input to all outputs, one input after the other.
+    /// Weights from one input to all outputs, one input after the other.
     weights: Changing,
     biases: Changing,
-    /// The weights as they were used: rounded, if anything is.
+    /// The weights in the form in which they were used, which is rounded if rounding is on.
     used: Vec<f32>,
-    /// Row after row of the batch: 1 where the gradient passes.
+    /// For each row of the batch: 1 if the gradient passes.
     passes: Vec<f32>,
-    /// Row after row of the batch: the outputs.
+    /// The outputs for each row of the batch.
     made: Vec<f32>,
     relu: bool,
 }
@@ -168,7 +168,7 @@ impl Fitting {
         }
     }
 
-    /// What the layer makes of a batch; `range` is what int8 can hold, where it is rounded.
+    /// Computes the outputs for a batch. If values are rounded, `range` is the range that int8 can represent.
     fn forward(&mut self, batch: &[f32], range: Option<(f32, f32)>) {
         self.used.copy_from_slice(&self.weights.values);
         if range.is_some() {
@@ -180,7 +180,7 @@ impl Fitting {
         for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
             made.copy_from_slice(&self.biases.values);
             for (value, weights) in row.iter().zip(self.used.chunks_exact(self.outputs)) {
-                // Behind a ReLU half of them are 0.
+                // Behind a ReLU, half of the values are 0.
                 if *value != 0.0 {
                     made.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
                 }
@@ -196,8 +196,8 @@ impl Fitting {
         }
     }
 
-    /// Adds to the gradients what a batch asks for, given the loss's gradient for the outputs, and leaves the one for the
-    /// batch in `to_inputs`, if that is wanted.
+    /// Adds the gradients for a batch, given the gradient of the loss with respect to the outputs. If requested, it
+    /// also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
         for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {
@@ -225,7 +225,7 @@ impl Fitting {
         }
     }
 
-    /// The average over the steps, as a plain layer.
+    /// Returns the average over the steps as a plain layer.
     fn layer(&self) -> FloatLayer {
         let row =
             |output: usize| self.weights.average.iter().skip(output).step_by(self.outputs).copied().collect();
@@ -241,7 +241,7 @@ fn rounded(value: f32, step: f32) -> f32 {
     (value / step).round() * step
 }
 
-/// Fits by one plan; `rounding` makes it take int8 into account.
+/// Trains by one plan; with `rounding`, the training simulates int8.
 fn run(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -292,7 +292,7 @@ fn run(
         let warm = ((step + 1) as f64 / plan.warm_up as f64).min(1.0);
         let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
         let rate = plan.learning_rate * warm * fall;
-        // At first the average forgets fast: it must not remember the start.
+        // At first, the average must forget quickly, so that it does not retain the start.
         let time = (step + 1) as f64;
         let keep = plan.keep.min((1.0 + time) / (10.0 + time)) as f32;
         for layer in &mut layers {
@@ -306,8 +306,8 @@ fn run(
     layers.iter().map(Fitting::layer).collect()
 }
 
-/// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit
-/// that is twice as large and counts half is the same. Then one int8 scale per layer serves all of its units (Nagel
+/// Scales the weights into and out of each hidden unit to the same maximum, which changes no output: a unit
+/// that is twice as large and counts half gives the same result. One int8 scale per layer then suits all units (Nagel
 /// et al., 2019).
 pub(super) fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {
@@ -330,7 +330,7 @@ pub(super) fn equalise(layers: &mut [FloatLayer]) {
 mod tests {
     use super::*;
 
-    /// Three labels that lie apart, and a network that knows nothing of them.
+    /// Returns data with three labels that are far apart, and an untrained network.
     fn task() -> (Vec<(Vec<f32>, usize)>, Vec<FloatLayer>) {
         let mut rng = RandomStream::Order.of(1);
         let mut uniform = |low: f32, high: f32| rng.random_range(low..high);
@@ -350,7 +350,7 @@ mod tests {
     #[test]
     fn steps_follow_what_there_is_to_learn_within_bounds() {
         let steps = |windows| Steps::TRAIN.following(windows).count;
-        // Two people's few recordings, thirty people's, and a crowd's.
+        // The numbers of recordings of two people, of thirty people, and of a crowd.
         assert_eq!([steps(0), steps(12_000), steps(38_400), steps(147_000)], [1500, 1500, 4800, 6000]);
         assert_eq!(Steps::ADAPT.following(1_000_000), Steps::ADAPT);
     }
@@ -373,7 +373,7 @@ mod tests {
         assert_eq!(refit(&[], 3, &start, &SHORT, 2.0, 1), start);
     }
 
-    /// The library's gradients are worked out by other means.
+    /// The library computes gradients in another way.
     #[cfg(feature = "train")]
     #[test]
     fn plain_loops_and_the_library_come_to_the_same_network() {
@@ -387,7 +387,7 @@ mod tests {
                 let values = one.weights.concat().into_iter().chain(one.biases.clone());
                 let others = two.weights.concat().into_iter().chain(two.biases.clone());
                 let apart = values.zip(others).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-                // Rounding to steps makes a thousandth of a difference into a step now and then.
+                // When values are rounded to steps, a difference of a thousandth occasionally becomes a full step.
                 assert!(apart < if rounded == 0 { 1e-3 } else { 2e-2 }, "{rounded}: {apart}");
             }
         }

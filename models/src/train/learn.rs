@@ -1,4 +1,4 @@
-//! From a data set to a model: windows, scaling, fitting, scoring, the card.
+//! Turns a data set into a model: windows, scaling, training, tests and the card.
 
 use std::collections::BTreeMap;
 
@@ -21,17 +21,17 @@ use crate::{HOP, RATE_HZ, WINDOW, blob};
 pub struct Job {
     /// Name of the model.
     pub name: String,
-    /// What the data is, for the card.
+    /// A description of the data, for the card.
     pub about: String,
-    /// Everything random follows from it.
+    /// The seed of all random numbers.
     pub seed: u64,
-    /// People who were left out, for the card.
+    /// People whom the user excluded, for the card.
     pub excluded: Vec<String>,
-    /// Whether to draw progress bars (where stderr is a terminal).
+    /// Whether to draw progress bars (if stderr is a terminal).
     pub progress: bool,
 }
 
-/// A progress bar, or nothing if it is not wanted.
+/// Returns a progress bar, or nothing if it is not wanted.
 fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     if !job.progress {
         return ProgressBar::hidden();
@@ -44,7 +44,7 @@ fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     }
 }
 
-/// Trains on `dataset` without the recordings named in `test`, and scores on those.
+/// Trains on `dataset` without the recordings named in `test`, and tests the model on those.
 pub fn train(
     dataset: &Dataset,
     test: &[String],
@@ -132,7 +132,7 @@ pub fn train(
     Ok(trained)
 }
 
-/// The card of a model before anything is learnt.
+/// Creates the card of a model before training.
 fn blank_card(
     used: &Dataset,
     labels: &[String],
@@ -187,7 +187,7 @@ fn labelled(windows: &[Vec<f32>], label: usize) -> impl Iterator<Item = Row<'_>>
     windows.iter().map(move |window| (window.as_slice(), label))
 }
 
-/// The same, from several sets.
+/// Like `labelled`, but for several data sets.
 fn rows(sets: &[(Shared, usize)]) -> impl Iterator<Item = Row<'_>> {
     sets.iter().flat_map(|(windows, label)| labelled(windows, *label))
 }
@@ -234,7 +234,7 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
     counts
 }
 
-/// SHA-256 over the names and contents of the recordings, in order; for one without a file, of what its file would hold.
+/// Returns the SHA-256 over names and contents of the recordings in order. Recordings without a file count as their CSV text.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {

@@ -10,10 +10,10 @@ use crate::tflite::FloatLayer;
 #[cfg(feature = "train")]
 const MEMORY_ROWS: usize = 4096;
 
-/// Inputs of a model's training people, with the same number for each label.
+/// Inputs from a model's training people, with the same number of rows for each label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Memory {
-    /// Int8 inputs, each (round(input / limit · 127)), with their label.
+    /// Int8 inputs, each of which is round(input / limit · 127), and their label.
     rows: Vec<(Vec<i8>, u8)>,
 }
 
@@ -34,15 +34,15 @@ impl Memory {
         Self { rows: chosen.into_iter().map(row).collect() }
     }
 
-    /// Rows of inputs with their labels.
+    /// Rows of inputs, and their labels.
     pub(super) fn inputs(&self, limit: f32) -> Vec<(Vec<f32>, usize)> {
         let float = |value: &i8| f32::from(*value) * limit / 127.0;
         self.rows.iter().map(|(row, label)| (row.iter().map(float).collect(), usize::from(*label))).collect()
     }
 
-    /// Returns the bytes of `NAME.memory.bin`: `BIMANMEM`,
-    /// then the numbers of rows and of inputs per row as u32 little-endian.
-    /// Each row's label and inputs follow.
+    /// Returns the bytes of `NAME.memory.bin`. They start with `BIMANMEM`,
+    /// followed by the numbers of rows and of inputs per row as u32 little-endian.
+    /// After these, each row has its label and its inputs.
     pub fn to_bytes(&self) -> Vec<u8> {
         let width = self.rows.first().map_or(0, |(row, _)| row.len());
         let mut bytes = MAGIC.to_vec();
@@ -55,10 +55,10 @@ impl Memory {
         bytes
     }
 
-    /// Parses the bytes of a memory that belongs to a model with this card.
+    /// Parses the bytes of a memory file that belongs to a model with this card.
     ///
     /// # Errors
-    /// Fails if the bytes are not a memory, are damaged, or belong to another model.
+    /// Fails if the bytes are not a memory file, are damaged, or belong to another model.
     pub fn parse(bytes: &[u8], card: &Card) -> Result<Self, MemoryError> {
         let error =
             |what: &str| MemoryError(format!("{what}; copy the .memory.bin again or train the model again"));
@@ -97,7 +97,7 @@ impl Memory {
     }
 }
 
-/// Draws the indices of `count` rows with replacement, with equally many rows per label.
+/// Draws the indices of `count` rows with replacement, equally many rows for each label.
 pub(super) fn balanced(
     labels: impl Iterator<Item = usize>,
     kinds: usize,

@@ -1,5 +1,5 @@
-//! Learning a network from a data set: windows, scaling, fitting, quantising, scoring, the card; and teaching a model one
-//! more person, which needs no library and is in every program that asks for the feature `adapt`.
+//! Learns a network from a data set (windows, scaling, training, quantisation, tests, card), and adapts a model to one
+//! more person. The adaptation needs no library, so every program with the feature `adapt` contains it.
 //!
 //! All random values depend only on the seed and on indices in sorted lists, not on the order in which threads finish.
 //! The same seed therefore gives the same files on one machine, for any number of threads.

@@ -1,4 +1,4 @@
-//! A network of dense layers during training, by any method.
+//! A network of dense layers during training by any method.
 
 use candle_core::{Result, Tensor, Var};
 
@@ -9,12 +9,12 @@ use crate::tflite::FloatLayer;
 /// Weights (inputs × outputs) and biases of each layer.
 pub(super) type Layers = Vec<(Var, Var)>;
 
-/// Returns all trainable variables: weights and biases alternately.
+/// Returns all trainable variables, with weights and biases in turn.
 pub(super) fn vars(layers: &Layers) -> Vec<Var> {
     layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect()
 }
 
-/// Computes the logits, with ReLU after each layer but the last.
+/// Computes the logits, with ReLU after each layer except the last.
 pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
     let mut x = inputs.clone();
     for (index, (weights, biases)) in layers.iter().enumerate() {
@@ -35,7 +35,7 @@ pub(super) struct Rounding {
 }
 
 impl Rounding {
-    /// Creates the int8 simulation with the ranges of the outputs for `rows`.
+    /// Creates the int8 simulation, whose ranges are those of the outputs for `rows`.
     pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         let ranges = quantise::ranges(layers, &inputs);
@@ -59,7 +59,7 @@ impl Rounding {
     }
 }
 
-/// Rounds to whole steps; the gradient is that of the unrounded values.
+/// Rounds to whole steps; the gradient is that of the values before rounding.
 fn steps(x: &Tensor, step: f64) -> Result<Tensor> {
     let rounded = x.detach().affine(1.0 / step, 0.0)?.round()?.affine(step, 0.0)?;
     x + (rounded - x.detach())?
@@ -76,7 +76,7 @@ pub(super) fn export<'a>(
     layers.enumerate().map(layer).collect()
 }
 
-/// Runs on one thread, because distributing such small matrices takes longer than it saves.
+/// Runs on one thread, because sharing such small matrices between threads takes longer than it saves.
 pub(super) fn on_one_thread<T: Send>(run: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
         Ok(pool) => pool.install(run),

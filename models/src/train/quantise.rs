@@ -1,16 +1,16 @@
-//! Int8 quantisation after training by TFLite's full-integer rules.
+//! Quantises a trained network to int8 by TFLite's full-integer rules.
 //! There is one scale per tensor, and weights are symmetric in −127..=127.
-//! Biases are int32 at scale input × weight.
-//! Activations in −128..=127 cover the range of the calibration inputs, with an exact 0.
+//! Biases are int32 with the scale input × weight.
+//! Activations in −128..=127 cover the range that calibration inputs reach, and represent 0 exactly.
 
 use shared_dsp::right::network::DenseSpec;
 
 use crate::tflite::FloatLayer;
 
-/// Maximum number of inputs for determining the ranges of activations.
+/// Maximum number of inputs that determine the ranges of activations.
 const CALIBRATION: usize = 4000;
 
-/// Quantises a network whose inputs are limited to ±`limit`.
+/// Quantises a network whose inputs are limited to ±`limit` to int8.
 pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> Vec<DenseSpec> {
     let (mut input_scale, mut input_zero_point) = scale_of(-limit, limit);
     let mut specs = Vec::new();
@@ -36,7 +36,7 @@ pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> 
     specs
 }
 
-/// Returns the minimum and maximum output of each layer for the inputs, including 0.
+/// Returns the minimum and maximum output of each layer for the inputs. The range always includes 0.
 pub(super) fn ranges(layers: &[FloatLayer], inputs: &[&[f32]]) -> Vec<(f32, f32)> {
     let step = inputs.len().div_ceil(CALIBRATION).max(1);
     let mut values: Vec<Vec<f32>> = inputs.iter().step_by(step).map(|row| row.to_vec()).collect();

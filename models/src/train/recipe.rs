@@ -1,4 +1,4 @@
-//! The trait of a recipe, which is a method for training a model from recordings.
+//! The trait `Recipe`, which describes a method for training a model from recordings.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -14,20 +14,20 @@ use crate::dataset::Item;
 use crate::tflite::FloatLayer;
 use crate::windows::Prepared;
 
-/// The features or inputs of a window, and its label.
+/// The features (or inputs) of a window, and the window's label.
 pub type Row<'a> = (&'a [f32], usize);
 
-/// Features of windows that several trainings share.
+/// Features of windows that several trainings use.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
 /// A method for training a model: the selection and variation of windows, the training of a network,
 /// and its conversion to int8.
 /// [`train`](super::train) calls these functions in order.
 pub trait Recipe: fmt::Debug + Send + Sync {
-    /// The name on the command line and in cards.
+    /// The recipe's name on the command line and in cards.
     fn name(&self) -> &'static str;
 
-    /// A description in one sentence, for users.
+    /// A description of the recipe in one sentence, for users.
     fn about(&self) -> &'static str;
 
     /// The features that models of this recipe read.
@@ -36,7 +36,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// The description of the training for the card.
     fn plan(&self) -> Plan;
 
-    /// The labels of the model, in order, given those of the recordings.
+    /// The labels of the model in order, given the labels of the recordings.
     fn labels(&self, of_recordings: Vec<String>) -> Vec<String> {
         of_recordings
     }
@@ -49,7 +49,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Returns additional training windows for this number of axes and these labels.
     fn beside(&self, axes: usize, labels: &[String]) -> Beside;
 
-    /// Returns the conversion of features to inputs. `real` are the windows of the unvaried recordings.
+    /// Returns the conversion of features to inputs. `real` contains the windows of the unvaried recordings.
     fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling;
 
     /// Fits a network.
@@ -61,13 +61,13 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Selects the inputs that determine the scales of int8.
     fn calibration(&self) -> Calibration;
 
-    /// Returns the daily movement for adaptation, if its models can be adapted.
-    /// A [`Memory`](super::Memory) of the training people is then stored.
+    /// Returns the daily movement for adaptation, if the recipe's models can be adapted.
+    /// In this case, a [`Memory`](super::Memory) of the training people is stored.
     fn adapts(&self) -> Option<&Daily> {
         None
     }
 
-    /// Returns the recipe with this number of steps, if it has steps, for quick experiments.
+    /// Returns the recipe with this number of steps (if it has steps), for quick experiments.
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe>;
 
     /// Returns the recipe for simulated wearers only, whose `idle` recordings already contain movement without
@@ -80,15 +80,15 @@ pub trait Recipe: fmt::Debug + Send + Sync {
 pub struct Plan {
     /// Windows per step.
     pub batch: usize,
-    /// Initial or maximum learning rate.
+    /// Learning rate at the start, or its maximum.
     pub learning_rate: f64,
     /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// Maximum number of epochs for the progress bar; 0 without epochs.
+    /// Maximum number of epochs, for the progress bar; 0 if the recipe has no epochs.
     pub epochs: usize,
 }
 
-/// The windows of one recording for training.
+/// The windows of one recording that are used for training.
 #[derive(Clone, Debug)]
 pub struct Windows {
     /// Place of its label.
@@ -97,11 +97,11 @@ pub struct Windows {
     pub own: Vec<Vec<f32>>,
     /// Features of varied copies of the recording.
     pub varied: Vec<Vec<f32>>,
-    /// The preparation of the recording.
+    /// The recording as it was prepared for training.
     pub prepared: Prepared,
 }
 
-/// Additional training windows, with the index of their label.
+/// Additional training windows, each with the index of its label.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
     /// Windows that are also stored in the memory for adaptation.
@@ -112,14 +112,14 @@ pub struct Beside {
     pub words: String,
 }
 
-/// The windows for training a network.
+/// The windows with which a network is trained.
 #[derive(Clone, Copy, Debug)]
 pub struct Learnt<'a> {
-    /// Inputs with the index of their label.
+    /// Inputs, each with the index of its label.
     pub rows: &'a [(Vec<f32>, usize)],
-    /// Inputs of recordings that determine when training stops; may be empty.
+    /// Inputs of recordings that determine when training stops; the list may be empty.
     pub check: &'a [(Vec<f32>, usize)],
-    /// How many of them are of the recordings, varied copies included.
+    /// Number of inputs that come from the recordings, including varied copies.
     pub of_recordings: usize,
     /// Number of labels.
     pub labels: usize,
@@ -134,21 +134,21 @@ pub struct Fitted {
     pub layers: Vec<FloatLayer>,
     /// Epochs run.
     pub epochs: usize,
-    /// The epoch whose weights were kept.
+    /// The epoch whose weights the network kept.
     pub best_epoch: usize,
 }
 
 /// The inputs that determine the scales of int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Calibration {
-    /// All inputs used in training.
+    /// All inputs that were used in training.
     Learnt,
-    /// Inputs of the unvaried recordings.
+    /// Inputs that come from the unvaried recordings.
     Real,
 }
 
-/// Computes mean and divisor per feature over the training windows.
-/// It also computes a limit, within `limits`, that 99.9 % of the inputs of `real` respect.
+/// Computes the mean and the divisor of each feature over the training windows.
+/// It also computes a limit, within `limits`, that 99.9 % of the inputs in `real` do not exceed.
 pub fn scaling(
     learn: &[Row<'_>],
     divisor: impl Fn(f64, f64) -> f64,

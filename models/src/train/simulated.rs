@@ -9,12 +9,12 @@ use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 use crate::windows::{aligned_features, cut};
 
-/// Duration of a simulated person's movement in s.
+/// Duration of a simulated person's movement in seconds.
 const SIMULATED_S: f64 = 8.0;
 /// Number of varied copies of each window of a simulated gesture.
 const COPIES_OF_SIMULATED: usize = 2;
 
-/// The movements of simulated wearers without gestures, in sequence.
+/// The movements of simulated wearers who make no gestures, in sequence.
 const AIMLESS: [IdleKind; 10] = [
     IdleKind::Still,
     IdleKind::Fidget,
@@ -28,9 +28,9 @@ const AIMLESS: [IdleKind; 10] = [
     IdleKind::Shake,
 ];
 
-/// Returns features of windows in which `wearers` simulated people make no gesture. They are equal for every training.
+/// Returns features of windows in which `wearers` simulated people make no gesture. Every training uses the same ones.
 ///
-/// Recordings contain few movements without gestures, and those of one person even fewer.
+/// Recordings contain few movements without gestures, and the recordings of one person contain even fewer.
 pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
     once(axes, wearers, "idle", || {
         let of_wearer = |index: u32| {
@@ -47,7 +47,7 @@ pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
 }
 
 /// Returns features of windows in which `wearers` other simulated people make gestures, and of varied copies.
-/// They are equal for every training, and cover the labels that the simulator supports, with their index.
+/// Every training uses the same ones. They cover the labels that the simulator supports, and contain their index.
 ///
 /// A few recorded people differ less from each other than the next person may differ from all of them.
 pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Shared, usize)> {
@@ -73,7 +73,7 @@ pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Sh
     Motion::GESTURES.into_iter().filter_map(of_gesture).collect()
 }
 
-/// Caches windows that are equal for every training.
+/// Caches windows that are the same for every training.
 fn once(axes: usize, wearers: u32, label: &'static str, make: impl FnOnce() -> Vec<Vec<f32>>) -> Shared {
     static MADE: Mutex<BTreeMap<(usize, u32, &str), Shared>> = Mutex::new(BTreeMap::new());
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -89,7 +89,7 @@ mod tests {
         let labels = ["circle", "idle", "left-right", "other", "wave"].map(String::from);
         let shown = performed(6, 3, &labels);
         let of: Vec<(usize, usize)> = shown.iter().map(|(windows, label)| (windows.len(), *label)).collect();
-        // There are seven windows in 8 s with two copies of each, for each of three people.
+        // Three people each have seven windows in 8 s, and two copies of each window.
         assert_eq!(of, [(63, 2), (63, 0)]);
         let count = shared_dsp::right::aligned::feature_count(6);
         assert!(shown.iter().all(|(windows, _)| windows.iter().all(|window| window.len() == count)));

@@ -1,11 +1,11 @@
-//! Choosing recordings to hold out, always whole ones.
+//! Chooses the recordings to hold out, which are always complete.
 
 use rand::seq::SliceRandom;
 
 use crate::dataset::Dataset;
 use crate::streams::RandomStream;
 
-/// Returns the sorted names of the held-out recordings: a rounded `fraction` of each label, chosen by the seed.
+/// Returns the sorted names of the held-out recordings. The seed chooses a rounded `fraction` of each label.
 /// A label with a single recording is not held out.
 pub fn held_out(dataset: &Dataset, fraction: f64, seed: u64) -> Vec<String> {
     let mut chosen = Vec::new();

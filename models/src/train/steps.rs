@@ -1,10 +1,10 @@
-//! Trains in a fixed number of steps, for recipe `aligned`.
+//! Trains in a fixed number of steps. Recipe `aligned` uses this method.
 //! Batches are drawn at random, the learning rate warms up and decreases as a cosine,
-//! and the result is an average of the weights.
+//! and the average of the weights is the result.
 //! Training needs no held-out recordings, and can start from an existing network.
 //!
-//! Several networks with different starts are merged into one whose logits are the mean of theirs.
-//! The networks' errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).
+//! Several networks that start differently are merged into one, whose logits are the mean of theirs.
+//! For unknown people, the networks make different errors. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -20,13 +20,13 @@ use crate::tflite::FloatLayer;
 
 /// The start of a network.
 pub(super) enum Start<'a> {
-    /// Random weights for these hidden widths.
+    /// Creates random weights for these hidden widths.
     Widths(&'a [usize]),
     /// The weights of a network.
     Layers(&'a [FloatLayer]),
 }
 
-/// Trains a network on labelled inputs, where rare labels count as much as common ones. `limit` is the maximum input.
+/// Trains a network on labelled inputs. Rare labels count as much as common ones, and `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -51,7 +51,7 @@ pub(super) fn fit(
     Ok(layers)
 }
 
-/// Returns one network whose logits are the mean of those of several networks with the same shape.
+/// Returns one network whose logits are the mean of those of several networks. All must have the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {
@@ -78,7 +78,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let mut weights = Vec::new();
         for (place, part) in parts.iter().enumerate() {
             for row in &part.weights {
-                // All members share the inputs of the first layer; later, each member uses only its own values.
+                // All members share the inputs of the first layer; in later layers, each member uses only its own values.
                 weights.push(if index == 0 {
                     row.clone()
                 } else {

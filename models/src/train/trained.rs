@@ -11,13 +11,13 @@ use crate::card::Card;
 use crate::recording::write_whole;
 use crate::tflite::{self, FloatLayer, Network};
 
-/// Why a data set cannot be learned; the text says what to do.
+/// The reason why a data set cannot be learned. Its text contains a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// Fewer than two or too many labels, or a label that cannot be stored.
+    /// There are fewer than two labels or too many, or the model's file cannot store a label.
     #[error("{0}")]
     Labels(String),
-    /// A file could not be read again or written.
+    /// A recording could not be read again, or a file could not be written.
     #[error("{file}: {source}; check the folder and the space on the disk")]
     Io {
         /// The file.
@@ -25,16 +25,16 @@ pub enum TrainError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The library that fits networks failed.
+    /// The training library failed.
     #[cfg(feature = "train")]
     #[error("training failed: {0}")]
     Candle(#[from] candle_core::Error),
-    /// The trained numbers cannot be quantised.
+    /// The trained weights cannot be quantised.
     #[error("the trained network cannot be quantised: {0}; try another --seed")]
     Quantise(String),
 }
 
-/// A trained model, not yet written.
+/// A trained model whose files are not yet written.
 #[derive(Clone, Debug)]
 pub struct Trained {
     /// Its card.
@@ -45,13 +45,13 @@ pub struct Trained {
     pub float_tflite: Vec<u8>,
     /// Bytes of the int8 file.
     pub int8_tflite: Vec<u8>,
-    /// What [`adapt`] needs of the people it was trained on; only with the recipe `aligned`.
+    /// The rows that [`adapt`] needs about the training people; only with the recipe `aligned`.
     pub memory: Option<Memory>,
 }
 
 impl Trained {
-    /// A fitted network with its files and its card's sums of them; `calibration` are the inputs that decide the scales of
-    /// int8.
+    /// A trained network with its files, and their checksums in its card. `calibration` are the inputs that determine
+    /// the int8 scales.
     pub(super) fn of(
         mut card: Card,
         float: Vec<FloatLayer>,
@@ -70,7 +70,7 @@ impl Trained {
     /// The blob that boards and bridge run.
     ///
     /// # Errors
-    /// If the numbers cannot be put into one.
+    /// If the weights cannot be converted to a blob.
     pub fn blob(&self) -> Result<Vec<u8>, TrainError> {
         match tflite::read(&self.int8_tflite) {
             Ok(Network::Int8(layers)) => blob::build(&self.card, &layers).map_err(TrainError::Quantise),
@@ -78,7 +78,7 @@ impl Trained {
         }
     }
 
-    /// Writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`, the card last, and `NAME.memory.bin` if there is one.
+    /// Writes `NAME.tflite`, `NAME.float.tflite`, and `NAME.memory.bin` if there is one. The card `NAME.card.json` comes last.
     pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
         let files = ["tflite", "float.tflite", "card.json"]
             .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));
@@ -97,7 +97,7 @@ impl Trained {
     }
 }
 
-/// SHA-256 of some bytes, in hexadecimal.
+/// Returns the SHA-256 of some bytes in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }

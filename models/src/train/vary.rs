@@ -1,10 +1,10 @@
-//! Varies single windows for recipe `aligned`, to simulate other hands and other positions of the sensor.
+//! Varies single windows for recipe `aligned`, to simulate other hands and other orientations of the sensor.
 //!
-//! The variations are, in this order: tempo, phase and evenness; size (fast movements need more force);
+//! The variations are applied in this order: tempo, phase and evenness; size (fast movements need more force);
 //! rotation of the sensor and mirroring of the hand; tremor; an offset of the accelerometer; its range.
-//! A movement that is accelerated is continued periodically.
+//! If a movement is accelerated, it is extended periodically.
 //! Idle windows are never enlarged much, so that slow and small gestures remain gestures.
-//! In half of the copies, the movement begins or ends inside the window, with rest before or after, as on a board.
+//! In half of the copies, the movement begins or ends inside the window, and the hand rests before or after it.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,13 +17,13 @@ use crate::WINDOW;
 use crate::evaluate::events::{POSTURE, posture};
 use crate::labels::OTHER;
 
-/// The description of this variation for the card.
+/// The description of this variation on the card.
 #[cfg(feature = "train")]
 pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 (gestures with a gyroscope 0.45 to 2.2) and uneven, shift ±0.2 s, or ±0.6 s with the \
      hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle 0.5 to 1.35), sensor turned at will about \
      gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s², clipped at 2 or 4 g";
 
-/// The kind of movement of a label.
+/// The kind of movement that a label stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Gesture,
@@ -40,7 +40,7 @@ impl Kind {
         }
     }
 
-    /// Range of the size's logarithm.
+    /// Range of the logarithm of the size.
     fn sizes(self) -> (f64, f64) {
         match self {
             Self::Gesture => (-1.0, 0.4),
@@ -65,7 +65,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
     let (low, high) = kind.sizes();
     let size = uniform(rng, low, high).exp();
-    // Idle movement has no tempo that determines its force.
+    // Idle movement has no tempo that would determine its force.
     let tempo = if kind == Kind::Idle { 1.0 } else { stretch };
 
     let mut samples: Vec<[f64; 9]> = (0..WINDOW)
@@ -95,7 +95,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
         }
         for (index, triad) in sample.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             if mirrored {
-                // The motion is reflected in y; rotation and magnetic field are axial vectors.
+                // The motion is mirrored in y; rotation and magnetic field are axial vectors.
                 triad[1] = -triad[1];
                 if index > 0 {
                     *triad = triad.map(|value| -value);
@@ -143,10 +143,10 @@ fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
     })
 }
 
-/// Number of samples over which a jump fades when a movement is continued periodically.
+/// Number of samples over which a jump fades when a movement is extended periodically.
 const SEAM: f64 = 10.0;
 
-/// Interpolates between samples. Beyond the ends, it uses the resting posture or continues periodically.
+/// Interpolates between samples. Beyond the ends, it uses the resting posture or extends the window periodically.
 fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>, period: usize) -> [f64; 9] {
     let last = (WINDOW - 1) as f64;
     let inside = |at: f64| -> [f64; 9] {
@@ -174,7 +174,7 @@ fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>,
     std::array::from_fn(|axis| here[axis] + seam * (edge[axis] - twin[axis]))
 }
 
-/// Root of the accelerometer's summed variances.
+/// Square root of the sum of the accelerometer's variances.
 fn spread(samples: &[[f64; 9]]) -> f64 {
     let count = samples.len() as f64;
     let variance = |axis: usize| {
@@ -207,7 +207,7 @@ mod tests {
 
     #[test]
     fn a_movement_begins_or_ends_inside_some_copies_and_the_hand_rests_there_as_it_was_held() {
-        // The hand moves all the time, except at the start and the end, where other features appear.
+        // In this test, the hand moves all the time except at the start and the end, where other features appear.
         let window: Vec<f32> = (0..WINDOW)
             .flat_map(|n| match n {
                 0..15 => [6.0, 0.0, 8.0f32],
@@ -224,7 +224,7 @@ mod tests {
             };
             resting += usize::from(is_still(&rows[..30]) || is_still(&rows[WINDOW - 30..]));
         }
-        // Half of the copies contain rest. In some of these, it is shorter than 0.3 s or contains tremor.
+        // Half of the copies contain rest. In some of them, the rest is shorter than 0.3 s or contains tremor.
         assert!((30..100).contains(&resting), "{resting} of 200");
     }
 

@@ -5,7 +5,7 @@ mod rng;
 
 pub use rng::Rng;
 
-/// Numbers and words that are known to break parsers.
+/// Numbers and words that are known to cause failures in parsers.
 const TOKENS: [&str; 30] = [
     "",
     "0",
@@ -79,7 +79,7 @@ pub fn damage(rng: &mut Rng, bytes: &mut Vec<u8>, donor: &[u8]) {
         10 | 11 if at + 8 <= bytes.len() => {
             let ends =
                 [0, 1, 0x7f, 0x80, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 40, u64::MAX];
-            // The values include infinity and NaN for floating-point fields.
+            // The values include infinity and NaN, which damage floating-point fields.
             let numbers: Vec<u64> = ends.into_iter().chain([0x7f80_0000, 0x7fc0_0000]).collect();
             let number = numbers[rng.below(numbers.len())].to_le_bytes();
             let width = [1, 2, 4, 8][rng.below(4)];

@@ -1,6 +1,6 @@
-//! Recordings that several tests share.
+//! Recordings that several tests use.
 
-/// Recordings of three people who make circles (two axes in quadrature) and swings (one axis), and rest.
+/// Recordings of three people who make circles (two axes in quadrature), swing along one axis, and rest.
 /// The movements of
 /// `b` are slower and smaller.
 pub fn folder() -> tempfile::TempDir {

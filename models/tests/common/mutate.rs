@@ -22,7 +22,7 @@ fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Calls `read` with damaged files. It returns whether it accepted the input, and panics if a check fails.
+/// Calls `read` with damaged files. `read` returns whether it accepted the input, and panics if a check fails.
 pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> bool + Sync) {
     for seed in seeds {
         assert!(read(seed), "{name}: what is whole is read");
@@ -34,7 +34,7 @@ pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> 
             if number >= inputs {
                 return;
             }
-            // Each input is determined by its number.
+            // The number of an input determines its content.
             let mut rng = Rng(number.wrapping_mul(0x2545_F491_4F6C_DD1D) ^ name.len() as u64);
             let mut bytes = seeds[rng.below(seeds.len())].clone();
             let donor = &seeds[rng.below(seeds.len())];
@@ -81,7 +81,7 @@ fn work_done() -> Duration {
     ns.map_or_else(|| START.elapsed(), Duration::from_nanos)
 }
 
-/// Peak memory of this program, if the system reports it.
+/// Peak memory use of this program, if the system reports it.
 fn memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

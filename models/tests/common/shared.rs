@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-/// Returns a file or folder, if it exists on this machine.
+/// Returns a file or a folder, if it exists on this machine.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared");
     let path = std::env::var_os("BIMANUAL_SHARED").map_or(beside, PathBuf::from).join(name);

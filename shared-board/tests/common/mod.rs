@@ -1,4 +1,4 @@
-//! The laptop's end of the line to a board.
+//! The laptop's side of a board's line.
 #![allow(dead_code)] // each test file uses its own part
 
 use shared_board::FrameOut;
@@ -11,7 +11,7 @@ use shared_proto::message::{Ack, AckResult, BoardMessage, Fault, HostMessage, Le
 #[derive(Default)]
 pub struct Line {
     bytes: Vec<u8>,
-    /// Whether the line is full, so that no frame can be sent.
+    /// Whether the line is full, so that it accepts no frame.
     pub is_full: bool,
 }
 
@@ -30,7 +30,7 @@ impl Line {
         self.bytes.clear();
     }
 
-    /// Returns the messages that `pick` selects, without deleting them.
+    /// Returns the messages that `pick` selects, and does not delete them.
     pub fn all<T>(&self, pick: impl Fn(BoardMessage<'_>) -> Option<T>) -> Vec<T> {
         let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
         let mut picked = Vec::new();
@@ -76,7 +76,7 @@ impl Line {
     }
 }
 
-/// Builds a network of one layer on raw samples; `weight` returns the weight of each position.
+/// Builds a network of one layer on raw samples; `weight` returns the weight at each position.
 pub fn model(labels: &[&str], axes: usize, hop: u16, weight: impl Fn(usize) -> i8) -> Vec<u8> {
     let inputs = FeatureKind::Raw.feature_count(axes);
     let row = |row: usize| (0..inputs).map(|i| weight(row * inputs + i)).collect();

@@ -7,7 +7,7 @@ fn mix(sum: u32, bytes: &[u8]) -> u32 {
     sum.rotate_left(5) ^ crc32(bytes)
 }
 
-/// Sample `index` of the reference windows.
+/// Returns sample `index` of the reference windows.
 pub fn sample(windows: &[u8], index: usize) -> [f32; 9] {
     core::array::from_fn(|axis| {
         let at = (index * 9 + axis) * 4 % windows.len();
@@ -15,7 +15,7 @@ pub fn sample(windows: &[u8], index: usize) -> [f32; 9] {
     })
 }
 
-/// All scores for the int8 inputs.
+/// Returns all scores for the int8 inputs.
 pub fn of_network(blob: &[u8], inputs: &[u8]) -> u32 {
     let Ok(model) = Model::parse(blob) else { return 0 };
     let mut sum = 0;
@@ -28,7 +28,7 @@ pub fn of_network(blob: &[u8], inputs: &[u8]) -> u32 {
     sum
 }
 
-/// Like [`of_network`], but with the blob at an odd address, which selects another kernel with the same scores.
+/// Like [`of_network`], but the blob is at an odd address, which selects another kernel with the same scores.
 pub fn of_unaligned_network(blob: &[u8], inputs: &[u8]) -> u32 {
     let mut memory = [0; 8192];
     let Some(shifted) = memory.get_mut(1..=blob.len()) else { return 0 };
@@ -36,7 +36,7 @@ pub fn of_unaligned_network(blob: &[u8], inputs: &[u8]) -> u32 {
     of_network(shifted, inputs)
 }
 
-/// Checksums of all feature bits, and of the scores that a model gives for these features.
+/// Returns checksums of all feature bits, and of the scores that a model gives for these features.
 pub fn of_features(blob: &[u8], windows: &[u8]) -> (u32, u32) {
     let Ok(model) = Model::parse(blob) else { return (0, 0) };
     let mut window = FeatureWindow::<9>::new();

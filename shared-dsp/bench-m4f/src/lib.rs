@@ -1,4 +1,4 @@
-//! Support for a bare Cortex-M4F: start-up, an instruction counter, and text output to the host.
+//! Support for a Cortex-M4F without an operating system: start-up, an instruction counter, and text output to the host.
 #![no_std]
 
 use core::fmt::{self, Write};
@@ -7,7 +7,7 @@ use core::fmt::{self, Write};
 #[repr(C, align(4))]
 pub struct Aligned<T: ?Sized>(pub T);
 
-/// Includes a file made by the build script.
+/// Includes a file that the build script has created.
 #[macro_export]
 macro_rules! bytes {
     ($name:literal) => {{
@@ -81,7 +81,7 @@ pub fn count(work: impl FnOnce()) -> u32 {
 /// Counts the instructions of a loop (1000 × 2 + 1), to check the counter itself.
 pub fn calibration() -> u32 {
     raw_count(|| {
-        // SAFETY: the loop only uses a register.
+        // SAFETY: the loop uses only a register.
         unsafe {
             core::arch::asm!("mov {0}, #1000", "4: subs {0}, #1", "bne 4b", out(reg) _, options(nomem, nostack));
         }
@@ -89,13 +89,13 @@ pub fn calibration() -> u32 {
 }
 
 fn semihosting(operation: u32, argument: u32) {
-    // SAFETY: this calls a semihosting service of QEMU.
+    // SAFETY: this calls a semihosting service, which QEMU provides.
     unsafe {
         core::arch::asm!("bkpt #0xAB", inout("r0") operation => _, in("r1") argument, options(nostack));
     }
 }
 
-/// Writes text to the host.
+/// Writes text to the host's output.
 pub struct Host;
 
 impl Write for Host {
@@ -131,7 +131,7 @@ pub fn stack_of(work: impl FnOnce()) -> usize {
     let mut here = 0u32;
     let top = core::ptr::addr_of_mut!(here).addr() & !3;
     let bottom = (top - 64 - 4 * WORDS) as *mut u32;
-    // SAFETY: the stack below this frame is unused. Volatile accesses preserve the order.
+    // SAFETY: the stack below this frame is unused. Volatile accesses keep their order.
     unsafe {
         for index in 0..WORDS {
             bottom.add(index).write_volatile(PAINT);

@@ -1,9 +1,9 @@
-//! Calibration of a wearer's left hand: readings in known poses, their capture, and their stored record.
+//! Calibration of a wearer's left hand. It captures readings in known poses and stores them in a record.
 //!
 //! A calibration has three steps in this order: *neutral* (hand level and still), *rest* (both fingers straight),
 //! *bend* (both bent).
 //! Each step averages [`CAPTURE_SAMPLES`] samples.
-//! A calibration is refused if the hand moves or the pose is implausible, and then changes nothing.
+//! A calibration step is refused, and changes nothing, if the hand moves or the pose is implausible.
 
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING};
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
@@ -11,16 +11,16 @@ use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 /// The calibration of one hand. Readings are in units of [`AdcCounts`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration {
-    /// Readings of x, y and z at 0 g, chosen so that the neutral pose is level: (0, 0, 1 g).
+    /// Readings of x, y and z at 0 g, chosen so that the neutral pose counts as level: (0, 0, 1 g).
     pub zero: [i16; 3],
-    /// Readings with index and middle finger straight.
+    /// Readings while the index and the middle finger are straight.
     pub rest: [u16; 2],
-    /// Readings with index and middle finger bent.
+    /// Readings while the index and the middle finger are bent.
     pub bend: [u16; 2],
 }
 
 impl Calibration {
-    /// Nominal values: an ADXL335 at half the reference, and a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
+    /// Nominal values for an ADXL335 at half the reference, and a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
     ///
     /// These values suffice for a good sensor. Real parts differ by ±0.5 g and ±30 %, so calibrate.
     pub const DEFAULT: Self = Self {
@@ -52,7 +52,7 @@ pub enum CaptureStep {
 pub enum CaptureError {
     /// The hand or the fingers moved.
     Moved,
-    /// The readings do not match the pose, or a channel is open or shorted.
+    /// The readings do not match the pose, or a channel is open or shorted to a rail.
     Impossible,
 }
 
@@ -64,9 +64,9 @@ const STEADY_ACCELERATION: u16 = (ONE_G * 15 / 100) as u16;
 const STEADY_FLEX: u16 = 25 * OVERSAMPLING;
 /// Minimum distance between rest and bend: 40 of 1024, eighty times the converter's noise.
 const LEAST_WAY: u16 = 40 * OVERSAMPLING;
-/// Maximum offset of x and y: the data sheet's ±0.5 g plus sin 15° for a pose that is not quite level.
+/// Maximum offset of x and y: ±0.5 g from the data sheet, plus sin 15° for a pose that is not quite level.
 const MOST_SIDEWAYS: i16 = (ONE_G as i32 * 76 / 100) as i16;
-/// Range of z at neutral: 1 g ± 10 % ± the data sheet's 1 g offset, plus some tolerance for the pose.
+/// Range of z at neutral: 1 g ± 10 %, ± the 1 g offset of the data sheet, plus some tolerance for the pose.
 const UPRIGHT: core::ops::RangeInclusive<i16> =
     (ONE_G as i32 * -15 / 100) as i16..=(ONE_G as i32 * 215 / 100) as i16;
 
@@ -131,7 +131,7 @@ impl Capture {
                 new.zero = [x as i16, y as i16, z as i16 - ONE_G];
             }
             CaptureStep::Rest => {
-                // The next step measures the distance from rest to bend. Until then, the old distance is used.
+                // The step *bend* measures the distance from rest to bend. Until then, the old distance is used.
                 for (i, rest) in [index, middle].into_iter().enumerate() {
                     let way = old.bend[i] as i16 - old.rest[i] as i16;
                     new.rest[i] = rest;
@@ -160,15 +160,15 @@ impl Capture {
 /// └──────┴───────────┴──────────┴─────────┴─────────┴──────┘
 /// ```
 pub const RECORD_BYTES: usize = 20;
-/// The first byte of a record. Every new layout needs a new number.
+/// The first byte of a record. Every new layout must have a new number.
 const RECORD_VERSION: u8 = 1;
 /// The checksum is computed bit by bit, because a table would take half of an ATmega's RAM.
 const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 
-/// A calibration in its stored form, with version, generation and checksum.
+/// A calibration as it is stored, with version, generation and checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// A wrapping counter of written records. If both slots are valid, the newer one is used.
+    /// A counter of written records, which wraps. If both slots are valid, the newer one is used.
     pub generation: u8,
     /// The stored calibration.
     pub calibration: Calibration,
@@ -191,7 +191,7 @@ impl Record {
         bytes
     }
 
-    /// Decodes a record. Returns `None` unless this version wrote the record completely.
+    /// Decodes a record. Returns `None` unless this version has written the record completely.
     #[inline(never)]
     pub fn from_bytes(bytes: &[u8; RECORD_BYTES]) -> Option<Self> {
         let word = |i: usize| u16::from_le_bytes([bytes[2 + 2 * i], bytes[3 + 2 * i]]);
@@ -221,7 +221,7 @@ pub enum Stored {
     Good {
         /// The record.
         record: Record,
-        /// The slot of the record (0 or 1).
+        /// The slot that contains the record (0 or 1).
         /// The next record goes to the other slot, so a power cut can destroy only the new record.
         slot: usize,
     },
@@ -269,7 +269,7 @@ mod tests {
     fn three_steps_make_a_calibration() {
         let mut c = Calibration::DEFAULT;
         c = capture(CaptureStep::Neutral, &c, |i| counts(540 + i % 3, 470, 630, 650, 760)).unwrap();
-        // The mean of 540, 541, 542, 540 … is 540.98; z at neutral is 1 g above zero.
+        // The mean of 540, 541, 542, 540 … is 540.98. At neutral, z is 1 g above its zero.
         assert_eq!(c.zero, [4328, 3760, 5040 - 819]);
         c = capture(CaptureStep::Rest, &c, |_| counts(540, 470, 630, 650, 760)).unwrap();
         assert_eq!(c.rest, [5200, 6080]);

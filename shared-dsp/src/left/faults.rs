@@ -1,59 +1,59 @@
-//! Detects readings that no working left hand can give: open or shorted channels, impossible gravity,
+//! Detects readings that no working left hand can produce: open or shorted channels, impossible gravity,
 //! a stuck converter.
 //!
 //! A channel at a rail is a fault immediately, and impossible gravity is a fault after [`GRAVITY_MS`].
-//! A converter that repeats itself is a fault after [`STUCK_MS`], and one without readings after [`SILENT_MS`].
+//! If a converter repeats its readings, this is a fault after [`STUCK_MS`]. Missing readings are a fault after [`SILENT_MS`].
 //! A fault ends [`CLEAR_MS`] after its cause has disappeared.
-//! If a channel's fault returns within [`RETURN_MS`], the wire is loose or picks up hum.
+//! If a channel's fault returns within [`RETURN_MS`], the wire is loose or picks up mains hum.
 //! Such a fault persists until the hand is calibrated or the board restarts.
 
 use crate::left::tilt::Acceleration;
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING, health};
 
-/// Impossible gravity for this long is a fault; anything shorter is a jolt.
+/// Impossible gravity that lasts this long is a fault; anything shorter is a jolt.
 pub const GRAVITY_MS: u32 = 200;
-/// If five readings are exactly equal for this long, including their noise, the converter repeats itself.
+/// If five readings are exactly equal for this long, without even noise, the converter repeats itself.
 pub const STUCK_MS: u32 = 1000;
-/// If there is no reading for this long, the converter has stopped.
+/// If no reading arrives for this long, the converter has stopped.
 pub const SILENT_MS: u32 = 100;
 /// A fault ends this long after its cause has disappeared.
 pub const CLEAR_MS: u32 = 200;
 /// If a channel's fault returns within this time after its end, it persists.
 pub const RETURN_MS: u32 = 10_000;
-/// Maximum change of a flex reading that is undone by the next sample: 32 of 1024.
+/// Maximum change of a flex reading that the next sample may undo: 32 of 1024.
 /// No finger moves faster, but an open pin picks up mains hum at twice the sample rate.
 const MOST_RETURN: u16 = 32 * OVERSAMPLING;
-/// Readings of 0 to 40 and of 983 to 1023 are not valid signals.
+/// Readings of 0 to 40 and of 983 to 1023 do not come from a working sensor.
 /// The ADXL335 gives 143 to 881 at ±3.6 g, and a flex sensor of 7 to 110 kΩ over 22 kΩ gives 170 to 776.
 const RAIL: u16 = 40 * OVERSAMPLING;
 /// A hand at rest measures 1 g; a sensitivity error of 10 % and a neutral pose 10° off level give 0.7 to 1.3 g.
 const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
-/// See [`LEAST_GRAVITY`]. A moving hand may exceed this limit, but not for 200 ms.
+/// See [`LEAST_GRAVITY`]. A moving hand may exceed this limit, but for less than 200 ms.
 const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
 
 /// Detects faults in the readings of one hand.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultWatch {
     last: AdcCounts,
-    /// The flex readings of the sample before the last one.
+    /// The flex readings of the last sample but one.
     flex_before: [u16; 2],
     last_change_ms: u32,
     last_sample_ms: u32,
     gravity_good_ms: u32,
-    /// Time when the cause of each fault in `health` was last present.
+    /// For each fault in `health`, the time when its cause was last present.
     seen_ms: [u32; 4],
     health: u8,
-    /// Time when a channel's fault last ended, if less than [`RETURN_MS`] ago.
+    /// The time when a channel's fault last ended, if that was less than [`RETURN_MS`] ago.
     ended_ms: [Option<u32>; 2],
     /// Bits of persistent faults.
     staying: u8,
 }
 
-/// The faults of this module, in the order of [`FaultWatch::seen_ms`].
+/// The faults that this module detects, in the order of [`FaultWatch::seen_ms`].
 const BITS: [u8; 4] = [health::SENSOR, health::FLEX, health::GRAVITY, health::STUCK];
 
 impl FaultWatch {
-    /// Starts at `now_ms` without a fault.
+    /// Starts at `now_ms`, without a fault.
     pub fn new(now_ms: u32) -> Self {
         Self {
             last: AdcCounts::default(),
@@ -68,13 +68,13 @@ impl FaultWatch {
         }
     }
 
-    /// Makes persistent faults normal ones, which end when their cause disappears.
+    /// Makes persistent faults normal again, so that they end when their cause disappears.
     pub fn forgive(&mut self) {
         self.staying = 0;
         self.ended_ms = [None; 2];
     }
 
-    /// Checks one sample, raw and as acceleration relative to zero. Returns bits of [`health`].
+    /// Checks one sample, both as raw readings and as acceleration relative to zero. Returns bits of [`health`].
     #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, a: Acceleration, now_ms: u32) -> u8 {
         let at_rail = |v: u16| !(RAIL..=AdcCounts::MAX - RAIL).contains(&v);
@@ -112,7 +112,7 @@ impl FaultWatch {
         self.health
     }
 
-    /// Makes a channel's fault persistent if it ended and returned soon.
+    /// Makes a channel's fault persistent if it returned soon after its end.
     fn keep_what_returns(&mut self, before: u8, now_ms: u32) {
         for (bit, ended_ms) in [health::SENSOR, health::FLEX].into_iter().zip(&mut self.ended_ms) {
             let (was, is) = (before & bit != 0, self.health & bit != 0);
@@ -135,7 +135,7 @@ impl FaultWatch {
         self.gravity_good_ms == now_ms
     }
 
-    /// Reports that time has passed without a sample. Returns bits of [`health`].
+    /// Reports that a sample is missing at this time. Returns bits of [`health`].
     pub fn no_sample(&mut self, now_ms: u32) -> u8 {
         if now_ms.wrapping_sub(self.last_sample_ms) >= SILENT_MS {
             self.health |= health::STUCK;

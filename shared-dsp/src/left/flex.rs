@@ -1,12 +1,12 @@
-//! Converts flex readings of two fingers to bend counters and a stop flag.
+//! Converts the flex readings of two fingers to bend counters and a stop flag.
 //!
 //! A finger is *bent* above [`BENT_PERMILLE`] of the range from calibrated rest to calibrated bend.
-//! It is *straight* below [`STRAIGHT_PERMILLE`]; between the two, its state does not change.
+//! It is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once, after the other finger has been straight for [`CONFIRM_MS`],
-//! or at release if that is earlier.
-//! Closing both fingers for a **stop** therefore counts no bend:
+//! A bend is counted once: after the other finger has been straight for [`CONFIRM_MS`],
+//! or earlier when the finger is released.
+//! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text
 //!           one bent               other straight for 100 ms, or released: count it
@@ -16,13 +16,13 @@
 //!                          Both ──▶ Stopped after 300 ms ──▶ Closing ──▶ Open (when both straight)
 //! ```
 
-/// Threshold at which a finger becomes bent, in thousandths of the calibrated range.
+/// Threshold above which a finger is bent, in thousandths of the calibrated range.
 pub const BENT_PERMILLE: i16 = 450;
-/// Threshold at which a finger becomes straight again.
+/// Threshold below which a finger is straight again.
 pub const STRAIGHT_PERMILLE: i16 = 250;
-/// Time for which the other finger must stay straight before a held bend counts.
+/// Time for which the other finger must stay straight before a held bend is counted.
 pub const CONFIRM_MS: u32 = 100;
-/// Time for which both fingers must be bent to stop the robot.
+/// Time for which both fingers must stay bent to stop the robot.
 pub const STOP_MS: u32 = 300;
 /// Minimum duration of the stop flag, so that a few lost frames cannot hide it.
 pub const STOP_SHOWN_MS: u32 = 500;
@@ -51,7 +51,7 @@ impl Finger {
 /// The result is 0 if `whole` is 0.
 /// Both must be below 2^21.
 ///
-/// This uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.
+/// The code uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.
 pub fn permille(part: u32, whole: u32) -> u16 {
     if whole == 0 {
         return 0;
@@ -70,7 +70,7 @@ pub fn permille(part: u32, whole: u32) -> u16 {
     quotient
 }
 
-/// Returns the bend of a finger: 0 = rest, 1000 = calibrated bend. The readings may rise or fall with the bend.
+/// Returns how far a finger is bent: 0 = rest, 1000 = calibrated bend. The readings may rise or fall with the bend.
 ///
 /// The result is within ±2047. If rest and bend are equal, it is 0 (never bent).
 pub fn bend_permille(reading: u16, rest: u16, bend: u16) -> i16 {
@@ -85,7 +85,7 @@ enum FingerPose {
     Bent,
 }
 
-/// One finger's hysteresis and debounce.
+/// Hysteresis and debouncing of one finger.
 #[derive(Clone, Copy, Debug)]
 struct Hysteresis {
     pose: FingerPose,
@@ -136,12 +136,12 @@ enum Phase {
     Closing,
 }
 
-/// Counters of bends, and the stop flag.
+/// The counters of bends, and the stop flag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bends {
-    /// Bends of the index finger since start, wrapping.
+    /// Number of bends of the index finger since start, which wraps.
     pub index: u8,
-    /// Bends of the middle finger since start, wrapping.
+    /// Number of bends of the middle finger since start, which wraps.
     pub middle: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -184,7 +184,7 @@ impl FlexDetector {
         self.bends
     }
 
-    /// Adds a sample with the bend of each finger (see [`bend_permille`]) at `now_ms`, a wrapping clock.
+    /// Adds a sample: how far each finger is bent (see [`bend_permille`]) at `now_ms`, on a clock that wraps.
     #[inline(never)]
     pub fn step(&mut self, index_permille: i16, middle_permille: i16, now_ms: u32) -> Bends {
         self.index.step(index_permille);
@@ -273,7 +273,7 @@ mod tests {
 
     impl Hand {
         fn open() -> Self {
-            // The clock starts shortly before it wraps, so that every test crosses this point.
+            // The clock starts shortly before it wraps, so that every test includes a wrap.
             let mut hand = Self { detector: FlexDetector::new(), now_ms: u32::MAX - 50 };
             hand.hold(0, 0, 100);
             hand
@@ -363,7 +363,7 @@ mod tests {
         hand.hold(900, 0, 80);
         hand.hold(900, 900, 200);
         assert_eq!(hand.hold(0, 0, 100), (0, 0, false));
-        // The fingers close more slowly, but the second one moves while the first is bent.
+        // The fingers close more slowly, but the second one is already moving while the first is bent.
         hand.hold(900, 0, 60);
         hand.hold(900, 350, 300);
         hand.hold(900, 900, 200);

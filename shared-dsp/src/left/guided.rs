@@ -8,19 +8,19 @@
 
 use crate::left::calibration::CaptureStep;
 
-/// Time for the wearer to take up a pose.
+/// Time that the wearer has to take up a pose.
 pub const READY_MS: u32 = 3000;
-/// Number of refusals after which the old calibration remains.
+/// Number of refusals after which the calibration ends and the old one remains.
 pub const REFUSALS: u8 = 5;
 
-/// The next action of the board.
+/// What the board must do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GuidedAction {
     /// Do nothing.
     Wait,
-    /// Begin this step and report its end to [`Guided::step`].
+    /// Begin this step, and report to [`Guided::step`] when it has ended.
     Start(CaptureStep),
-    /// All three steps are complete: store the result.
+    /// All three steps are complete, so the result must be stored.
     Keep,
     /// Restore the previous calibration.
     GiveUp,
@@ -41,7 +41,7 @@ pub struct Guided {
 }
 
 impl Guided {
-    /// Begins at `now_ms`, a wrapping clock.
+    /// Begins the calibration at `now_ms`, on a clock that wraps.
     pub fn new(now_ms: u32) -> Self {
         let phase = Phase::Ready { next: CaptureStep::Neutral, since_ms: now_ms };
         Self { phase, refusals: 0 }

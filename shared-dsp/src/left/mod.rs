@@ -1,4 +1,4 @@
-//! The complete left hand: converts readings and times to tilt, heading, bends, stop and health.
+//! The complete left hand. It converts readings and times to tilt, heading, bends, stop and health.
 //!
 //! The Nano runs [`LeftHand`], and the laptop runs it to replay recordings.
 //! Board and laptop compute the same bits from the same readings.
@@ -28,11 +28,11 @@ pub struct AdcCounts {
     pub x: u16,
     /// Accelerometer y, towards the right (A1).
     pub y: u16,
-    /// Accelerometer z, out of the back of the hand (A2).
+    /// Acceleration along z, out of the back of the hand (A2).
     pub z: u16,
-    /// Flex divider of the index finger (A3).
+    /// Voltage of the index finger's flex sensor (A3).
     pub index: u16,
-    /// Flex divider of the middle finger (A4).
+    /// Voltage of the middle finger's flex sensor (A4).
     pub middle: u16,
 }
 
@@ -46,7 +46,7 @@ impl AdcCounts {
         Self { x, y, z, index, middle }
     }
 
-    /// Returns x, y, z, index and middle in this order.
+    /// Returns the readings of x, y, z, index and middle in this order.
     pub fn as_array(&self) -> [u16; 5] {
         [self.x, self.y, self.z, self.index, self.middle]
     }
@@ -62,9 +62,9 @@ pub struct LeftOutput {
     /// The debounced heading: `Neutral` (halt) during a fault, `Between` during a calibration step.
     /// After a fault, a calibration step, a start or new thresholds, the hand must first be neutral before any command.
     pub heading: Heading,
-    /// Bends of the index finger since start, wrapping.
+    /// Number of bends of the index finger since start, which wraps.
     pub index_bends: u8,
-    /// Bends of the middle finger since start, wrapping.
+    /// Number of bends of the middle finger since start, which wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -89,7 +89,7 @@ pub struct LeftHand {
 
 impl LeftHand {
     /// Creates a hand that starts at `now_ms`.
-    /// With `None` it uses the default calibration and sets a warning in its health.
+    /// With `None`, the hand uses the default calibration, and its health contains a warning.
     pub fn new(calibration: Option<Calibration>, thresholds: TiltThresholds, now_ms: u32) -> Self {
         Self {
             calibration: calibration.unwrap_or_default(),
@@ -103,7 +103,7 @@ impl LeftHand {
         }
     }
 
-    /// Processes the sample of `now_ms` (a wrapping clock).
+    /// Processes the sample that was taken at `now_ms` (on a clock that wraps).
     #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, now_ms: u32) -> LeftOutput {
         let [x, y, z] = self.calibration.zero;
@@ -153,7 +153,7 @@ impl LeftHand {
         })
     }
 
-    /// Reports that the sample of `now_ms` is missing. After 100 ms without samples, the converter counts as stuck.
+    /// Reports that the sample at `now_ms` is missing. After 100 ms without samples, the converter counts as stuck.
     #[inline(never)]
     pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
         let fault = self.faults.no_sample(now_ms);
@@ -167,15 +167,15 @@ impl LeftHand {
     }
 
     /// Begins a calibration step.
-    /// Until it ends, the hand gives no motion and no bends, and afterwards it must be neutral.
+    /// Until the step ends, the hand gives no motion and no bends. After that, it must be neutral.
     ///
-    /// Returns false and changes nothing if another step is in progress.
+    /// Returns false, and changes nothing, if another step is in progress.
     pub fn start_capture(&mut self, step: CaptureStep) -> bool {
         if self.is_capturing() {
             return false;
         }
         self.capture = Some(Capture::new(step));
-        // The hand is being serviced, so channels with persistent faults get another chance.
+        // Somebody is working on the hand, so channels with persistent faults get another chance.
         self.faults.forgive();
         true
     }
@@ -185,13 +185,13 @@ impl LeftHand {
         self.capture.is_some()
     }
 
-    /// Returns the result of the last calibration step, once.
+    /// Returns the result of the last calibration step. It does so only once.
     /// The new calibration is not active yet: store it, and then pass it to [`LeftHand::set_calibration`].
     pub fn take_captured(&mut self) -> Option<Result<Calibration, CaptureError>> {
         self.captured.take()
     }
 
-    /// Sets a calibration, or the default with `None`. The hand must then be neutral before any command.
+    /// Sets a calibration (with `None`, the default). The hand must then be neutral before any command.
     #[inline(never)]
     pub fn set_calibration(&mut self, calibration: Option<Calibration>) {
         self.is_calibrated = calibration.is_some();
@@ -205,7 +205,7 @@ impl LeftHand {
     }
 
     /// Sets other thresholds. The hand must then be neutral before any command.
-    /// Returns false and changes nothing if the thresholds are not [sound](TiltThresholds::are_sound).
+    /// Returns false, and changes nothing, if the thresholds are not [sound](TiltThresholds::are_sound).
     pub fn set_thresholds(&mut self, thresholds: TiltThresholds) -> bool {
         if !thresholds.are_sound() {
             return false;
@@ -229,7 +229,7 @@ impl LeftHand {
         self.disarm();
         let bends = self.flex.bends();
         self.publish(LeftOutput {
-            // During a fault, neutral is a safe value, because the heading has no effect.
+            // During a fault, neutral is a safe value, because the heading then has no effect.
             heading: if fault != 0 { Heading::Neutral } else { Heading::Between },
             index_bends: bends.index,
             middle_bends: bends.middle,
@@ -273,7 +273,7 @@ mod tests {
             rig
         }
 
-        /// Feeds constant 10-bit readings, with noise in the last bit of z.
+        /// Feeds constant 10-bit readings, but with noise in the last bit of z.
         fn run(&mut self, conversions: [u16; 5], ms: u32) -> LeftOutput {
             let mut output = self.hand.last;
             for _ in 0..ms / 10 {
@@ -330,7 +330,7 @@ mod tests {
                 assert_eq!(out.heading, Heading::Neutral);
                 assert!(out.changed);
                 assert!(!rig.run(broken, 10_000).heading.is_command());
-                // The line is repaired, but the hand is still tilted, so there is no command.
+                // The line has been repaired, but the hand is still tilted, so there is no command.
                 let out = rig.run(FORWARD, 1000);
                 assert_eq!((out.health, out.heading), (0, Heading::Between));
                 rig.run(LEVEL, 50);
@@ -355,7 +355,7 @@ mod tests {
     #[test]
     fn the_direction_of_impossible_gravity_commands_nothing() {
         let mut rig = Rig::neutral();
-        // The hand is tilted 30° forward, with 2 g and with 0.2 g.
+        // The hand is tilted 30° forward, first with 2 g and then with 0.2 g.
         for conversions in [[614, 512, 689, 704, 704], [522, 512, 530, 704, 704]] {
             for _ in 0..30 {
                 assert!(!rig.run(conversions, 10).heading.is_command());
@@ -413,7 +413,7 @@ mod tests {
     fn calibration_pauses_the_hand_and_then_measures_from_the_new_neutral() {
         let mut rig = Rig::neutral();
         rig.run(FORWARD, 100);
-        // The wearer's neutral pose is 8° forward with an offset of 20 counts.
+        // The wearer's neutral pose is tilted 8° forward, and the sensor has an offset of 20 counts.
         let pose = [546, 495, 613, 704, 704];
         assert!(rig.hand.start_capture(CaptureStep::Neutral));
         assert!(!rig.hand.start_capture(CaptureStep::Rest));

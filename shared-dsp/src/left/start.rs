@@ -7,29 +7,29 @@
 //! No command starts while the hand swings to and fro.
 //!
 //! A walker's hand is pushed by ±0.35 g twice per second, which looks like up to 24° from a pose 5° off level.
-//! It stays within 1.2° for 68 ms at its turning points, and never exceeds 25°.
-//! A hand that is shaken four times per second turns every 125 ms.
+//! At its turning points, the hand stays within 1.2° for 68 ms, and its tilt never exceeds 25°.
+//! A hand that is shaken four times per second changes direction every 125 ms.
 
-/// A hand is at rest while its tilt stays within a band of this width in milliradians: 2°.
+/// A hand is at rest if its tilt stays within a band of this width in milliradians: 2°.
 pub const STEADY_MRAD: u16 = 35;
-/// A tilt at rest starts a command after this many samples: 90 ms at 100 Hz.
+/// A resting hand starts a command after this number of samples beyond the threshold: 90 ms at 100 Hz.
 pub const STEADY_SAMPLES: u8 = 10;
-/// A tilt this far beyond the start threshold is clear, in milliradians: 10°.
+/// A tilt is clear if it exceeds the start threshold by this much, in milliradians: 10°.
 pub const CLEAR_MRAD: u16 = 175;
-/// A clear tilt starts a command after this many samples, at rest or not: 90 ms.
+/// A clear tilt starts a command after this number of samples, even if the hand moves: 90 ms.
 pub const CLEAR_SAMPLES: u8 = 10;
-/// A tilt starts a command after this many samples unless it is decreasing: 130 ms.
+/// Any tilt starts a command after this number of samples, unless it is decreasing: 130 ms.
 pub const HELD_SAMPLES: u8 = 14;
-/// A tilt has turned if it decreases by more than this, in milliradians: 6°.
+/// If a tilt decreases by more than this, its direction has changed, in milliradians: 6°.
 pub const TURN_MRAD: u16 = 105;
-/// Turns that are no further apart than this belong to one swing: 320 ms, half a period of 1.6 Hz.
+/// Two changes of direction belong to one swing if they are no further apart than this: 320 ms, half a period of 1.6 Hz.
 pub const SWING_SAMPLES: u8 = 32;
-/// This many consecutive swings are an oscillation.
+/// This number of consecutive swings is an oscillation.
 pub const SWINGS: u8 = 2;
-/// An oscillation ends when this many samples have passed since its last turn: 500 ms.
+/// An oscillation ends when this number of samples has passed since the last change of direction: 500 ms.
 pub const CALM_SAMPLES: u8 = 50;
 
-/// A tilt beyond its threshold that has not started a command yet.
+/// A tilt that is beyond its threshold but has not started a command yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
     peak_mrad: i16,
@@ -64,7 +64,7 @@ impl Start {
     }
 }
 
-/// Detects oscillations of one tilt.
+/// Detects whether one tilt oscillates.
 #[derive(Clone, Copy, Debug)]
 pub struct Swing {
     extreme_mrad: i16,
@@ -80,7 +80,7 @@ impl Default for Swing {
 }
 
 impl Swing {
-    /// Creates the state for a hand that has not moved.
+    /// Creates the state of a hand that has not moved.
     pub const fn new() -> Self {
         Self { extreme_mrad: 0, rising: true, since_turn: u8::MAX, swings: 0 }
     }

@@ -1,7 +1,6 @@
 //! Converts three accelerometer readings of the left hand to two angles and a heading.
 //!
-//! The code uses only integers.
-//! An 8-bit board and a laptop therefore give the same bits, and the board needs no soft floats.
+//! The code uses only integers, so an 8-bit board and a laptop give the same bits, and the board needs no soft floats.
 //!
 //! **Axes and signs.** The sensor is mounted with +x towards the wrist, +y towards the right,
 //! and +z out of the back of the hand.
@@ -21,14 +20,14 @@
 use crate::left::start::{Start, Swing};
 use shared_words::{Heading, TiltThresholds};
 
-/// Acceleration along the sensor's axes, in any unit, because only ratios matter.
+/// Acceleration along the sensor's axes. The unit does not matter, because only ratios are used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Acceleration {
     /// Component towards the wrist.
     pub x: i16,
     /// Component towards the right.
     pub y: i16,
-    /// Component out of the back of the hand.
+    /// Acceleration along +z, out of the back of the hand.
     pub z: i16,
 }
 
@@ -53,7 +52,7 @@ impl Tilt {
         }
     }
 
-    /// Returns the tilt in the direction of a command's heading, or 0 for other headings.
+    /// Returns the tilt towards the heading of a command, or 0 for other headings.
     fn along(self, heading: Heading) -> i16 {
         match heading {
             Heading::Forward => self.pitch_mrad,
@@ -66,10 +65,10 @@ impl Tilt {
 }
 
 /// Number of consecutive samples that must agree before a command ends or neutral begins: 20 ms at 100 Hz.
-/// The same number of samples with gravity on the palm's side means that the hand is turned over.
+/// If gravity is on the palm's side for the same number of samples, the hand is turned over.
 pub const DEBOUNCE_SAMPLES: u8 = 2;
 
-/// Converts one tilt per sample to a debounced heading with hysteresis.
+/// Converts a tilt per sample to a heading, with debouncing and hysteresis.
 #[derive(Clone, Copy, Debug)]
 pub struct TiltDetector {
     thresholds: TiltThresholds,
@@ -77,7 +76,7 @@ pub struct TiltDetector {
     candidate: Heading,
     agreed: u8,
     armed: bool,
-    /// The command that may start next.
+    /// The command that may start next, if there is one.
     start: Option<(Heading, Start)>,
     swings: [Swing; 2],
     turned_over: u8,
@@ -98,7 +97,7 @@ impl TiltDetector {
         }
     }
 
-    /// Replaces the thresholds from the next sample on. The hand must then be neutral before any command.
+    /// Uses other thresholds from the next sample on. The hand must then be neutral before any command.
     pub fn set_thresholds(&mut self, thresholds: TiltThresholds) {
         *self = Self::new(thresholds);
     }
@@ -113,7 +112,7 @@ impl TiltDetector {
         *self = Self::new(self.thresholds);
     }
 
-    /// Skips a sample that has no usable tilt (a jolt) and keeps the heading.
+    /// Skips a sample without a usable tilt (a jolt), and keeps the heading.
     pub fn hold(&mut self) -> Heading {
         self.agreed = 0;
         self.candidate = self.heading;
@@ -121,7 +120,7 @@ impl TiltDetector {
         self.heading
     }
 
-    /// Processes a sample with gravity on the palm's side.
+    /// Processes a sample in which gravity is on the palm's side.
     /// The first such sample counts as a jolt. From the second on, the hand is turned over and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
@@ -138,7 +137,7 @@ impl TiltDetector {
         self.turned_over = 0;
         let swings = [self.swings[0].step(tilt.pitch_mrad), self.swings[1].step(tilt.roll_mrad)];
         let wanted = self.wanted(tilt);
-        // A command counts only once it has started.
+        // A command is valid only once it has started.
         let settled = if wanted.is_command() && wanted != self.heading { Heading::Between } else { wanted };
         if settled == self.heading {
             self.agreed = 0;
@@ -158,13 +157,13 @@ impl TiltDetector {
         self.heading
     }
 
-    /// Returns whether the command of this tilt is intended.
+    /// Returns whether the tilt of this command is intended.
     fn is_meant(&mut self, wanted: Heading, tilt: Tilt) -> bool {
         if wanted == self.heading {
             self.start = None;
             return false;
         }
-        // A start survives a dip below its threshold, as a command does.
+        // A start survives a short dip below its threshold, as a running command does.
         let going = self.start.filter(|&(heading, _)| {
             heading == wanted
                 || (!wanted.is_command() && tilt.along(heading) >= self.thresholds.end_mrad as i16)
@@ -180,7 +179,7 @@ impl TiltDetector {
         let (pitch, roll) = (tilt.pitch_mrad, tilt.roll_mrad);
         let (pitch_size, roll_size) = (pitch.unsigned_abs(), roll.unsigned_abs());
         let limits = self.thresholds;
-        // A running command has an advantage of (start - end).
+        // A running command has an advantage of (start - end) over another one.
         // Two tilts of almost equal size therefore do not make the base alternate between driving and turning.
         let lead = limits.start_mrad - limits.end_mrad;
         let kept = match self.heading {
@@ -229,9 +228,9 @@ fn root_of_squares(a: i16, b: i16) -> u16 {
 
 /// Computes atan(y / x) in milliradians for x ≥ 0 by CORDIC; 0 for x = y = 0.
 fn atan_mrad(y: i16, x: u16) -> i16 {
-    /// atan(2⁻ⁱ) in sixteenths of a milliradian.
+    /// Values of atan(2⁻ⁱ) in sixteenths of a milliradian.
     const STEPS: [i16; 14] = [12566, 7418, 3920, 1990, 999, 500, 250, 125, 62, 31, 16, 8, 4, 2];
-    // Three i16 give a length below 2^16, and CORDIC scales it by 1.65, so 2^17 · 2^13 fits.
+    // Three i16 give a length below 2^16, and CORDIC scales the length by 1.65, so 2^17 · 2^13 fits.
     const FRACTION_BITS: u32 = 13;
     if x == 0 && y == 0 {
         return 0;
@@ -297,7 +296,7 @@ mod tests {
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
                     // If the remaining vector is short, one unit of the rounded-down root is more than a milliradian
                     // of roll.
-                    // The same applies to pitch near 90 degrees.
+                    // The same is true of pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());
                     }
@@ -353,7 +352,7 @@ mod tests {
             assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
         }
-        // A hand that has just oscillated must come to rest first.
+        // If a hand has just oscillated, it must come to rest before it can start a command.
         assert_eq!(run(&mut d, 20.0, 0.0, 40), Heading::Between);
         assert_eq!(run(&mut d, 20.0, 0.0, 20), Heading::Forward);
         for _ in 0..20 {

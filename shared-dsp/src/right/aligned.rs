@@ -1,38 +1,37 @@
 //! Features of recipe 3.
-//! The features describe the motion in the hand's own frame, independent of the wearer and the sensor's position.
+//! The features describe the motion in the hand's own frame, so they do not depend on the wearer or the sensor's orientation.
 //!
 //! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz, because gestures have 0.5 to 5 Hz).
-//! They are then rotated into a frame whose first direction is gravity.
-//! The second direction is the horizontal one with the most rotation,
-//! or with the most acceleration if there is no gyroscope.
-//! The third direction is perpendicular to both.
-//! Every feature is even in the two horizontal directions.
+//! They are then rotated into a frame whose first axis is the direction of gravity.
+//! The second axis is the horizontal direction with the most rotation. Without a gyroscope, it is the one with the most acceleration.
+//! The third axis is perpendicular to both.
+//! A change of sign of either horizontal axis does not change any feature.
 //! Left and right hands, and rotated sensors, therefore give the same numbers.
-//! The magnetometer is not used, so it cannot cause disturbances.
+//! The magnetometer is not used, so magnetic disturbances have no effect.
 //!
-//! A *triad* is three directions of acceleration in g or, with a gyroscope, of rotation in 100 deg/s.
-//! For each triad, e are the mean squares of each direction about its mean, and E is their sum.
-//! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the movement below which differences are insignificant.
-//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops under a Hann window,
+//! A *triad* is the acceleration along three axes in g or, with a gyroscope, the rotation about them in 100 deg/s.
+//! For each triad, e are the mean squares along each axis about its mean, and E is their sum.
+//! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the amount of movement below which differences are insignificant.
+//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops with a Hann window,
 //! and S = Σ|X|².
 //!
 //! | features | count |
 //! |---|---|
 //! | 2√E / (√E + 2f) − 1 | 1 |
 //! | 3e / (E + f²) − 1, per direction | 3 |
-//! | 2·\|X\| / √(S + 60f²) − ½, line after line, three directions each | 30 |
+//! | 2·\|X\| / √(S + 60f²) − ½, line after line, for three axes each | 30 |
 //! | for the pairs (second, first), (third, first), (third, second): 2·\|Re c\| − ½, 2·\|Im c\| − ½ where c = ΣX·X̄′ / √((S + 60f²)(S′ + 60f²)) | 6 |
 //!
-//! The next feature, once per triad, is ½·ln(tremor + floor) + 1.5.
-//! Here, tremor is the root of the mean variance within a hop, and the floors are 0.01 g and 2 deg/s.
-//! Then follow ln(√e + f) + 1 for each triad and direction, and finally 2·(|gravity| − 1 g).
-//! This gives 45 features for an accelerometer and 89 with a gyroscope.
-//! `tests/reference/aligned_ref.py` is the same algorithm in numpy.
+//! Each triad also has the feature ½·ln(tremor + floor) + 1.5.
+//! Here, tremor is the square root of the mean variance within a hop, and the floors are 0.01 g and 2 deg/s.
+//! The next features are ln(√e + f) + 1 for each triad and axis, and finally 2·(|gravity| − 1 g).
+//! An accelerometer therefore has 45 features. With a gyroscope, there are 89.
+//! `tests/reference/aligned_ref.py` implements the same algorithm in numpy.
 //!
-//! Rotation is linear, so it is applied last.
+//! The code applies the rotation last, because it is linear.
 //! Products and lines are computed from the unrotated channels, and then ten lines are rotated instead of 25 hops.
 //!
-//! Gravity is the mean acceleration of the window. Below 10⁻³ m/s² its direction is undefined.
+//! The mean acceleration of the window is gravity. Below 10⁻³ m/s², its direction is undefined.
 //! In this case the features are finite, and the floors make them small.
 //! A window without movement gives the same constants in any posture.
 
@@ -42,7 +41,7 @@ use crate::right::features::{HOP, HOPS, SAMPLE_LIMIT, square_root};
 use crate::right::kind::ln;
 use tables::{COSINES, HANN};
 
-/// Movement below this value is insignificant: 0.1 g.
+/// Acceleration below this value is insignificant: 0.1 g.
 pub const ACC_FLOOR: f32 = 0.1;
 /// Rotation below this value is insignificant, in 100 deg/s.
 pub const GYRO_FLOOR: f32 = 0.2;
@@ -64,20 +63,20 @@ pub const fn feature_count(axes: usize) -> usize {
     }
 }
 
-/// A series of hop means in one direction.
+/// The means of each hop along one axis.
 type Series = [f32; HOPS];
 
-/// Three channels of a window in the sensor's frame.
+/// Three channels of a window in the frame of the sensor.
 struct Triad {
     mean: [f32; 3],
-    /// Mean products of the deviations from the mean.
+    /// Mean products of the channels' deviations from their means.
     products: [[f32; 3]; 3],
     /// See [`AlignedWindow::spectrum`].
     lines: [[(f32, f32); LINES]; 3],
 }
 
 impl Triad {
-    /// Multiplies the matrix of products by a vector.
+    /// Multiplies the matrix of mean products by a vector.
     #[inline(always)]
     fn times(&self, vector: [f32; 3]) -> [f32; 3] {
         self.products.map(|row| dot(row, vector))
@@ -94,7 +93,7 @@ struct HopTerms {
 impl HopTerms {
     #[inline(always)]
     fn new(samples: &[f32; HOP]) -> Self {
-        // Deviations are from the first sample, so a resting hand has an exact mean and a variance of 0.
+        // Deviations are relative to the first sample, so a resting hand has an exact mean and a variance of 0.
         let first = samples[0];
         let offset = samples.iter().fold(0.0, |sum, sample| sum + (sample - first)) * (1.0 / HOP as f32);
         let squares = samples.iter().fold(0.0, |sum, sample| {
@@ -104,14 +103,14 @@ impl HopTerms {
         Self { mean: first + offset, variance: squares * (1.0 / HOP as f32) }
     }
 
-    /// Returns whether all samples are certainly numbers within the limit: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
+    /// Returns whether all samples are certainly numbers within the limit. For each of them, x² ≤ 2·(mean² + Σ(x − mean)²).
     #[inline(always)]
     fn is_tame(&self) -> bool {
         self.mean * self.mean + HOP as f32 * self.variance <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0
     }
 }
 
-/// Limits magnitudes and replaces NaN by the previous value. Returns the number of NaN values.
+/// Limits magnitudes, and replaces each NaN with the previous value. Returns the number of NaN values.
 #[cold]
 #[inline(never)]
 fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
@@ -127,28 +126,28 @@ fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
     replaced
 }
 
-/// The current movement of the hand, for [`crate::right::movement`].
+/// How the hand moves at present, for [`crate::right::movement`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
-    /// Root of the summed variances of the acceleration over the last four hops, in m/s².
+    /// Square root of the acceleration's summed variances over the last four hops, in m/s².
     pub acceleration: f32,
-    /// Magnitude of the rotation rate in the last hop, in deg/s; 0 without a gyroscope.
+    /// Magnitude of the rotation rate in the last hop, in deg/s; 0 if there is no gyroscope.
     pub rotation: f32,
 }
 
 /// A window of 25 hops over samples of `A` axes: 3, 6 or 9.
 #[derive(Clone, Debug)]
 pub struct AlignedWindow<const A: usize> {
-    /// Samples of the unfinished hop.
+    /// Samples of the hop that is not yet complete.
     stage: [[f32; HOP]; CHANNELS],
     staged: usize,
     /// The last valid sample.
     held: [f32; CHANNELS],
-    /// Ring of the hop means of each channel.
+    /// Ring buffer with each channel's means of the hops.
     bins: [Series; CHANNELS],
-    /// Variance within each hop, summed over the directions of a triad.
+    /// Variance within each hop, summed over the axes of a triad.
     tremor: [Series; 2],
-    /// Index of the oldest hop.
+    /// Index of the oldest hop in the ring.
     oldest: usize,
     hops: usize,
     features: [f32; MAX_FEATURES],
@@ -179,7 +178,7 @@ impl<const A: usize> AlignedWindow<A> {
 
     /// Adds a sample (m/s², deg/s).
     /// Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
-    /// NaN values are replaced by the last valid ones, and magnitudes are limited to [`SAMPLE_LIMIT`].
+    /// NaN values are replaced with the last valid ones, and magnitudes are limited to [`SAMPLE_LIMIT`].
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         for (channel, value) in self.stage.iter_mut().zip(&sample[..A.min(Self::USED)]) {
@@ -234,7 +233,7 @@ impl<const A: usize> AlignedWindow<A> {
         self.replaced
     }
 
-    /// Whether the window contains replaced NaN values.
+    /// Whether the window contains values that replaced NaN.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -244,7 +243,7 @@ impl<const A: usize> AlignedWindow<A> {
         *self = Self::new();
     }
 
-    /// Movement of the hand in the last hops.
+    /// How the hand moved in the last hops.
     pub fn movement(&self) -> Movement {
         let count = self.hops.clamp(1, 4);
         let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
@@ -298,8 +297,8 @@ impl<const A: usize> AlignedWindow<A> {
         let acceleration = self.triad(0);
         let length = square_root(dot(acceleration.mean, acceleration.mean));
         let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // The direction with the most rotation, including its mean,
-        // because a hand may turn about it in only one direction.
+        // The axis with the most rotation. Its mean counts too,
+        // because a hand may turn about this axis in only one direction.
         let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
         let (cosine, sine) = match &rotation {
             Some(rotation) => principal(rotation, rotation.mean, across, along),
@@ -347,7 +346,7 @@ impl<const A: usize> AlignedWindow<A> {
         let x = series[MIDDLE];
         let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
 
-        // Even lines. No hop is 13 to 15 hops from the middle.
+        // Even lines of the transform. No hop is 13 to 15 hops from the middle.
         let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
         let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
         let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
@@ -363,7 +362,7 @@ impl<const A: usize> AlignedWindow<A> {
         lines[7] = (plus + e4 - q2, h1 - h3);
         lines[9] = (minus - rp - t, u - (rg - f4));
 
-        // Odd lines, from hops at odd and at even distances.
+        // Odd lines of the transform, from hops at odd and at even distances.
         let [_, a1, _, a3, _, a5, _, a7] = COSINES;
         let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
         let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
@@ -397,7 +396,7 @@ impl<const A: usize> Default for AlignedWindow<A> {
     }
 }
 
-/// Writes features one after another.
+/// Writes features into a slice, one after another.
 struct Writer<'a> {
     place: core::slice::IterMut<'a, f32>,
 }
@@ -432,7 +431,7 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));
     let difference = (dot(across, triad.times(across)) + a * a) - (dot(along, turned) + b * b);
-    // From tan 2θ = 2·product / difference; the half-angle formula is the one without cancellation.
+    // The angle follows from tan 2θ = 2·product / difference; this half-angle formula is the one without cancellation.
     let twice = 2.0 * (dot(across, turned) + a * b);
     let length = square_root(difference * difference + twice * twice);
     if length < 1e-12 {

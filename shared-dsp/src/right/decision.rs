@@ -7,21 +7,21 @@
 //!     └──────────── some hops in a row at rest ────────────────┘
 //! ```
 //! The labels `idle` and `other` are rest and never cause an event.
-//! A model without these labels rests while its best score is below the required confidence.
+//! If a model has no such labels, it rests while its best score is below the required confidence.
 
 use shared_words::is_rest;
 
-/// Maximum number of hops that a decision considers.
+/// Maximum number of hops on which a decision is based.
 pub const MAX_HOPS: usize = 16;
 
 /// Criteria for a performed gesture. A probability p is given as 256·p.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecisionConfig {
-    /// Number of the last `of` hops that must have the same gesture, including the newest one.
+    /// Number of the last `of` hops, including the newest one, that must have the same gesture.
     pub agree: u8,
-    /// Number of hops considered, at most [`MAX_HOPS`].
+    /// Number of last hops on which a decision is based, at most [`MAX_HOPS`].
     pub of: u8,
-    /// Minimum mean probability of the agreeing hops.
+    /// Minimum mean probability of the hops that agree.
     pub min_confidence: u8,
     /// Number of consecutive hops at rest that are required between two events.
     pub rest_hops: u8,
@@ -45,9 +45,9 @@ impl DecisionConfig {
 /// A performed gesture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GestureEvent {
-    /// Index in the model's labels.
+    /// Index of the gesture in the model's labels.
     pub label: u8,
-    /// Mean probability of the agreeing hops, 0 to 255.
+    /// Mean probability of the hops that agree, 0 to 255.
     pub confidence: u8,
 }
 
@@ -64,7 +64,7 @@ pub struct GestureDecision {
     config: DecisionConfig,
     /// Bit i is set if label i is rest.
     rest_labels: u16,
-    /// The last hops, newest first. The first `known` entries are valid.
+    /// The last hops; the newest is first. The first `known` entries are valid.
     hops: [Vote; MAX_HOPS],
     known: u8,
     armed: bool,
@@ -90,7 +90,7 @@ impl GestureDecision {
     }
 
     /// Adds the int8 scores of a hop, one per label: (score + 128) / 256 is the probability.
-    /// Of equal scores, the first label wins. Empty scores are ignored.
+    /// If scores are equal, the first label wins. Empty scores are ignored.
     pub fn step(&mut self, scores: &[i8]) -> Option<GestureEvent> {
         let (label, &best) = scores.iter().enumerate().rev().max_by_key(|(_, score)| **score)?;
         let newest = Vote { label: label as u8, probability: (i16::from(best) + 128) as u8 };
@@ -123,13 +123,13 @@ impl GestureDecision {
         Some(GestureEvent { label: newest.label, confidence })
     }
 
-    /// Forgets the last hops after a gap. Rest is still required before the next event.
+    /// Forgets the last hops after a gap. The next event still requires rest.
     pub fn reset(&mut self) {
         self.known = 0;
         self.resting = 0;
     }
 
-    /// Returns whether a label (by index) is rest.
+    /// Returns whether the label with this index is rest.
     pub fn is_rest_label(&self, label: u8) -> bool {
         label < 16 && self.rest_labels & (1 << label) != 0
     }
@@ -158,7 +158,7 @@ mod tests {
         scores
     }
 
-    /// Returns the indices of the hops that caused an event, with its label.
+    /// Returns the indices of the hops that caused an event, each with the event's label.
     fn run(decision: &mut GestureDecision, labels: &[usize]) -> Vec<(usize, u8)> {
         let step = |(index, &label): (usize, &usize)| {
             decision.step(&hop(label, 250)).map(|event| (index, event.label))

@@ -1,15 +1,15 @@
 //! Computes thirteen features per axis of a sliding window, once per hop.
 //!
-//! The features per axis, in this order, are mean, RMS, population variance,
+//! Each axis has these features in this order: mean, RMS, population variance,
 //! skewness m₃/m₂^1.5 and excess kurtosis m₄/m₂² − 3.
-//! Then follow the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
-//! They are averaged over the 24 half-overlapping full frames of the window (no window function, mean included).
+//! The next eight are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
+//! They are averaged over the 24 full half-overlapping frames of the window (without a window function, mean included).
 //! The paper does not define how 200 samples are split into frames of 16 points, so this split is our choice.
 //!
 //! | case | definition |
 //! |---|---|
-//! | NaN samples | replaced by the axis' last valid value (0 before the first) and counted |
-//! | magnitudes above [`SAMPLE_LIMIT`] | limited to it |
+//! | NaN samples | replaced with the axis' last valid value (0 before the first one) and counted |
+//! | magnitudes above [`SAMPLE_LIMIT`] | reduced to this limit |
 //! | constant signal | variance 0, skewness 0, kurtosis 0, powers 0 except P\[0\] |
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
 //!
@@ -28,35 +28,35 @@ pub use crate::right::network::FEATURES_PER_AXIS;
 
 /// Samples per window.
 pub const WINDOW: usize = 200;
-/// Samples per hop: half an FFT frame.
+/// Number of samples per hop: half an FFT frame.
 pub const HOP: usize = 8;
 /// Hops per window.
 pub const HOPS: usize = WINDOW / HOP;
-/// Full frames of 16 samples per window.
+/// Number of full frames of 16 samples in a window.
 const FRAMES: usize = HOPS - 1;
-/// Variance below which a signal has no shape: a deviation of 10⁻⁸.
+/// Variance below which a signal has no shape, which is a standard deviation of 10⁻⁸.
 pub const VARIANCE_FLOOR: f32 = 1e-16;
 
 /// A window over samples of `A` axes.
 #[derive(Clone, Debug)]
 pub struct FeatureWindow<const A: usize> {
-    /// Samples of the unfinished hop.
+    /// Samples of the hop that is not yet complete.
     stage: [[f32; A]; HOP],
     staged: usize,
     axes: [Axis; A],
     features: [[f32; FEATURES_PER_AXIS]; A],
-    /// Number of the hop modulo blocks per window.
+    /// Number of the hop, modulo the number of blocks in a window.
     block: usize,
-    /// Number of the hop modulo frames per window.
+    /// Number of the hop, modulo the number of frames in a window.
     frame: usize,
-    /// Number of hops since the last reset, at most those of a window.
+    /// Number of hops since the last reset. It stops at the number of hops in a window.
     hops: usize,
     replaced: u32,
-    /// Number of hops until the last replaced value has left the window.
+    /// Number of hops until the last value that replaced NaN has left the window.
     tainted: usize,
 }
 
-/// The data of one axis in the window.
+/// The data that the window stores for one axis.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     /// The last valid sample.
@@ -67,17 +67,17 @@ struct Axis {
     powers: SlidingPowers<FRAMES>,
 }
 
-/// The location of a hop's samples.
+/// The place where a hop's samples are stored.
 struct HopBlocks {
     axis: usize,
     block: RingPlace<HOPS>,
     frame: RingPlace<FRAMES>,
-    /// Whether all its samples are known to be numbers within the limit.
+    /// Whether all samples are known to be numbers within the limit.
     repaired: bool,
 }
 
 impl<const A: usize> FeatureWindow<A> {
-    /// An empty window. All bytes are zero, so that a static window takes no flash.
+    /// An empty window. All its bytes are zero, so that a static window takes no flash.
     pub const fn new() -> Self {
         Self {
             stage: [[0.0; A]; HOP],
@@ -96,7 +96,7 @@ impl<const A: usize> FeatureWindow<A> {
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // Element by element, because copying the whole array would become a call.
+            // The samples are copied one by one, because copying the whole array would become a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }
@@ -109,8 +109,8 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        // The moments of axis i turn at hop −i and its powers half a round later,
-        // so at most one turn happens per hop up to 12 axes.
+        // The moments of axis i turn at hop −i, and its powers turn half a round later,
+        // so with up to 12 axes, at most one turn happens per hop.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
         let mut hop = HopBlocks { axis: 0, block, frame, repaired: false };
@@ -143,7 +143,7 @@ impl<const A: usize> FeatureWindow<A> {
         self.replaced
     }
 
-    /// Whether the window contains replaced NaN values.
+    /// Whether the window contains values that replaced NaN.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -169,7 +169,7 @@ impl Axis {
         powers: SlidingPowers::ZERO,
     };
 
-    /// Processes the samples of a hop, writes the features, and returns the number of replaced samples.
+    /// Processes the samples of a hop, writes the features, and returns the number of samples that were replaced.
     #[inline(never)]
     fn advance<const A: usize>(
         &mut self,
@@ -188,7 +188,7 @@ impl Axis {
         let half = HalfFrame::new(&samples);
         let block = Block::new(&half);
         let block_mean = block.first + block.offset;
-        // Each x satisfies x² ≤ 2·(mean² + Σ(x − mean)²). The result is also false for NaN.
+        // Each x satisfies x² ≤ 2·(mean² + Σ(x − mean)²). If any value is NaN, the result is also false.
         let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
         if !tame && !hop.repaired {
             return self.repair_and_advance(hop, stage, features);
@@ -225,13 +225,13 @@ impl Axis {
     }
 }
 
-/// The samples of one axis, below `A`.
+/// Returns the samples of one axis, whose index is below `A`.
 #[inline(always)]
 fn column<const A: usize>(stage: &[[f32; A]; HOP], axis: usize) -> [f32; HOP] {
     stage.each_ref().map(|sample| sample[axis])
 }
 
-/// Limits magnitudes and replaces NaN by the previous value. Returns the number of NaN values.
+/// Limits magnitudes, and replaces each NaN with the previous value. Returns the number of NaN values.
 #[cold]
 #[inline(never)]
 fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f32) -> u32 {
@@ -247,7 +247,7 @@ fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f3
     replaced
 }
 
-/// Correctly rounded on every target, so the bits are equal.
+/// The root is correctly rounded on every target, so the bits are equal.
 #[inline(always)]
 pub(crate) fn square_root(x: f32) -> f32 {
     #[cfg(cortex_m4f)]

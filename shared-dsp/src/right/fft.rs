@@ -4,7 +4,7 @@ const C1: f32 = 0.923_879_5; // cos(π/8)
 const C3: f32 = 0.382_683_43; // cos(3π/8)
 const R: f32 = core::f32::consts::FRAC_1_SQRT_2; // cos(2π/8)
 
-/// Eight samples, stored as the first one and the deviations of the other seven from it.
+/// Eight samples. They are stored as the first sample and the deviations of the other seven from it.
 ///
 /// For a signal such as gravity with a little tremor, the deviations are exact and small.
 /// Their sums and products therefore lose no precision to the large constant part.
@@ -12,7 +12,7 @@ const R: f32 = core::f32::consts::FRAC_1_SQRT_2; // cos(2π/8)
 pub struct HalfFrame {
     /// The first sample.
     pub first: f32,
-    /// Samples 1 to 7 minus the first.
+    /// Samples 1 to 7 minus the first sample.
     pub deviations: [f32; 7],
 }
 
@@ -30,9 +30,9 @@ impl HalfFrame {
 
 /// Computes |X\[k\]|² for k = 0 to 7 of the frame that consists of two halves, X\[k\] = Σ x\[n\]·exp(−2πi·n·k/16).
 ///
-/// The constant part of each half affects few terms: the sum of both only X\[0\],
-/// and their difference only the odd bins.
-/// The constants are therefore added only there.
+/// The constant part of each half affects few terms: the sum of both affects only X\[0\], and their difference affects
+/// only the odd bins.
+/// The code therefore adds the constants only to these bins.
 #[inline(always)]
 pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {
     let ([o1, o2, o3, o4, o5, o6, o7], [n1, n2, n3, n4, n5, n6, n7]) = (old.deviations, new.deviations);
@@ -49,7 +49,7 @@ pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {
     let (x2_re, x2_im) = (u - a4, v + t2);
     let (x6_re, x6_im) = (u + a4, v - t2);
 
-    // Odd bins: old − new, folded by the symmetry of n and 8 − n. Element 0 is the step alone.
+    // Odd bins: old − new, folded by the symmetry between n and 8 − n. Element 0 is only the step.
     let (b1, b2, b3, b5, b6, b7) = (o1 - n1, o2 - n2, o3 - n3, o5 - n5, o6 - n6, o7 - n7);
     let b4 = (o4 - n4) + step;
     let steps = step + step;

@@ -1,19 +1,19 @@
-//! The kinds of features that a model reads, and their conversion to inputs of its network.
+//! The kinds of features that a model reads, and how they are converted to inputs of its network.
 //!
 //! A blob contains the kind as a number (`recipe` in blob and wire), so that a board can refuse an unknown kind.
-//! To add a kind, give it the next number here and define it in [`FeatureKind::transform`].
+//! To add a kind, define it in [`FeatureKind::transform`] and give it the next number here.
 
 use crate::right::network::FEATURES_PER_AXIS;
 
-/// Smallest value that recipe 2 distinguishes from zero, in the square of the axis' unit.
+/// Smallest value that recipe 2 distinguishes from zero, in the square of the unit of the axis.
 pub const LOG_FLOOR: f32 = 1e-6;
 
-/// The features that a model reads, and their transformation before the affine scaling to int8.
+/// The features that a model reads. Each kind transforms them before the affine scaling to int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureKind {
     /// 1: the paper's features, unchanged.
     Raw,
-    /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); other features unchanged.
+    /// 2: RMS, variance and the eight powers become log10(value + [`LOG_FLOOR`]); other features are unchanged.
     LogPower,
     /// 3: the features of [`crate::right::aligned`], unchanged.
     Aligned,
@@ -39,7 +39,7 @@ impl FeatureKind {
         }
     }
 
-    /// Number of features for samples with this many axes; 0 if the kind does not support them.
+    /// Number of features for samples with this number of axes; 0 if the kind does not support it.
     pub const fn feature_count(self, axes: usize) -> usize {
         match self {
             Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,
@@ -47,7 +47,7 @@ impl FeatureKind {
         }
     }
 
-    /// Number of leading values of a sample that a model for this many axes reads. Recipe 3 reads no magnetometer.
+    /// Number of values at the start of a sample that a model for this number of axes reads. Recipe 3 reads no magnetometer.
     pub const fn reads(self, axes: usize) -> usize {
         match self {
             Self::Aligned if axes > 6 => 6,
@@ -55,9 +55,9 @@ impl FeatureKind {
         }
     }
 
-    /// Whether a model for `model` axes can run on samples of `sample` axes.
-    /// All values that it reads must exist, and additional values must not change its features.
-    /// (In recipe 3, a window with a gyroscope has other features than one without.)
+    /// Whether a model for `model` axes can run on samples with `sample` axes.
+    /// The samples must have all values that the model reads, and additional values must not change its features.
+    /// (In recipe 3, a gyroscope changes the features of a window.)
     pub const fn runs_on(self, model: usize, sample: usize) -> bool {
         match self {
             Self::Raw | Self::LogPower => model <= sample,
@@ -79,11 +79,11 @@ impl FeatureKind {
     }
 }
 
-/// Base-10 logarithm of a positive normal number, with a relative error below 1e-6 of max(|log|, 1).
+/// Base-10 logarithm of a positive normal number. Its relative error is below 1e-6 of max(|log|, 1).
 ///
-/// The logarithm uses only additions, products and one quotient in a fixed order. The bits are equal on every target.
+/// The logarithm uses only additions, products and one quotient in a fixed order, so the bits are equal on every target.
 fn log10(x: f32) -> f32 {
-    // x = 2^exponent · mantissa with mantissa in [√½, √2).
+    // The number is x = 2^exponent · mantissa, with the mantissa in [√½, √2).
     let bits = x.to_bits().wrapping_sub(0x3F35_04F3);
     let exponent = (bits as i32) >> 23;
     let mantissa = f32::from_bits((bits & 0x007F_FFFF).wrapping_add(0x3F35_04F3));
@@ -95,7 +95,7 @@ fn log10(x: f32) -> f32 {
     exponent as f32 * core::f32::consts::LOG10_2 + SCALE * (t * series)
 }
 
-/// Natural logarithm of a positive normal number, computed like [`log10`].
+/// Natural logarithm of a positive normal number, computed in the same way as [`log10`].
 pub(crate) fn ln(x: f32) -> f32 {
     core::f32::consts::LN_10 * log10(x)
 }

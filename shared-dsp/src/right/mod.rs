@@ -1,4 +1,4 @@
-//! The complete right hand: samples in, one result per hop out. The board and the laptop run the same code.
+//! The complete right hand. Samples go in, and one result per hop comes out. The board and the laptop run the same code.
 
 pub mod aligned;
 pub mod decision;
@@ -25,14 +25,14 @@ use core::fmt;
 /// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model needs other values per sample than the board has, or more of them.
+    /// The model needs other values per sample than the board has, or more values.
     Axes {
         /// Axes of the model.
         model: usize,
         /// Axes of the hand.
         hand: usize,
     },
-    /// The model needs other windows or hops than [`WINDOW`] and [`HOP`].
+    /// The model needs windows or hops that differ from [`WINDOW`] and [`HOP`].
     Window {
         /// Samples per window of the model.
         window: u16,
@@ -57,16 +57,16 @@ impl fmt::Display for ModelMismatch {
 
 impl core::error::Error for ModelMismatch {}
 
-/// State of the right hand after a hop.
+/// State of the right hand after one hop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RightOutput {
-    /// Time of the newest sample of the window, as given to [`RightHand::push`].
+    /// Time of the window's newest sample, as given to [`RightHand::push`].
     pub window_end_ms: u32,
-    /// Whether the window is full. If not (at start or after a gap), the scores are from before the gap.
+    /// Whether the window is full. If it is not (at start or after a gap), the scores are from before the gap.
     pub full: bool,
-    /// Whether the window, or the slow window, contains replaced NaN values.
+    /// Whether the window or the slow window contains values that replaced NaN.
     pub replaced: bool,
-    /// Number of gestures performed since start, wrapping.
+    /// Number of gestures performed since start, which wraps.
     pub events: u8,
     /// Whether this hop caused an event.
     pub is_event: bool,
@@ -78,7 +78,7 @@ pub struct RightOutput {
     pub event_window_end_ms: u32,
     /// Int8 scores, of which the first `label_count` are valid: (score + 128) / 256 is the probability.
     pub scores: [i8; MAX_LABELS],
-    /// Number of labels of the model.
+    /// Number of labels that the model has.
     pub label_count: u8,
 }
 
@@ -94,7 +94,7 @@ impl RightOutput {
     }
 }
 
-/// All computations of the right hand for samples of `A` axes.
+/// All signal processing of the right hand for samples with `A` axes.
 /// The model may read fewer axes ([`FeatureKind::runs_on`]).
 #[derive(Clone, Debug)]
 pub struct RightHand<'m, const A: usize> {
@@ -104,7 +104,7 @@ pub struct RightHand<'m, const A: usize> {
     in_hop: usize,
 }
 
-/// The stages before and after the network, which depend on the model's recipe.
+/// The stages before and after the network, which the model's recipe determines.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
 enum Pipeline<const A: usize> {
@@ -115,7 +115,7 @@ enum Pipeline<const A: usize> {
 }
 
 impl<const A: usize> Pipeline<A> {
-    /// Adds a sample. Returns true if there are new features.
+    /// Adds a sample. Returns true if this completes new features.
     fn push(&mut self, sample: &[f32; A]) -> bool {
         match self {
             Self::PerAxis { window, .. } => window.push(sample),
@@ -128,10 +128,10 @@ impl<const A: usize> Pipeline<A> {
 
     /// Runs the network and the decision on the newest features.
     fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<GestureEvent> {
-        // `RightHand::new` has compared the lengths, so this cannot fail. If it did, the scores would remain unchanged.
+        // `RightHand::new` has compared the lengths, so this call cannot fail. If it did, the scores would remain unchanged.
         match self {
             Self::PerAxis { window, decision } => {
-                // If the hand has more axes than the model, the first ones are used.
+                // If the hand has more axes than the model, the model reads the first ones.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)
@@ -178,13 +178,13 @@ impl<const A: usize> Pipeline<A> {
 }
 
 impl<'m, const A: usize> RightHand<'m, A> {
-    /// Creates a hand that runs this model.
+    /// Creates a hand that runs the given model.
     ///
     /// `config` applies to models of recipes 1 and 2.
     /// Models of recipe 3 use their own decision ([`crate::right::movement`]) with its default values.
     ///
     /// # Errors
-    /// The model is for other samples or windows.
+    /// Fails if the model is for other samples or windows.
     pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
         let info = model.info();
         if !info.recipe.runs_on(info.axes, A) {
@@ -223,7 +223,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
         })
     }
 
-    /// Adds a sample at the model's rate (m/s², deg/s, µT) with its time.
+    /// Adds a sample at the model's rate (in m/s², deg/s, µT), with its time.
     /// Returns the state once per hop, even before the window is full.
     pub fn push(&mut self, sample: &[f32; A], time_ms: u32) -> Option<&RightOutput> {
         let ready = self.pipeline.push(sample);
@@ -250,7 +250,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
         Some(output)
     }
 
-    /// Reports missing samples: window and decision start again, and events and their counter remain.
+    /// Reports missing samples. Window and decision start again; past events and their counter remain.
     pub fn gap(&mut self) {
         self.pipeline.reset();
         self.in_hop = 0;
@@ -258,7 +258,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
         self.output.is_event = false;
     }
 
-    /// The state at the last hop.
+    /// The state after the last hop.
     pub fn output(&self) -> &RightOutput {
         &self.output
     }

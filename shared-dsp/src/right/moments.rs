@@ -1,21 +1,21 @@
-//! Central moments of the last samples, without loss of precision and without drift.
+//! Central moments of the last samples, computed without loss of precision and without drift.
 //!
 //! Sums of powers (Σx², Σx³, Σx⁴) lose their precision in `f32` if the signal has a constant part such as gravity.
-//! Here, each block of eight samples stores its mean (as one sample plus a small offset) and power sums of deviations
+//! Here, each block of eight samples stores its mean (as one sample plus a small offset), and power sums of deviations
 //! from that mean.
 //! Longer pieces store power sums about a reference, which is the mean of *some of their own blocks*.
 //! The binomial formula converts sums from one reference to another.
-//! The reference is within few deviations of the piece's mean, so the final cancellation is limited for any signal.
+//! The reference is within a few deviations of the piece's mean, so the final cancellation is limited for any signal.
 
 use crate::right::fft::HalfFrame;
 use crate::right::sliding::RingPlace;
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
-/// A number of blocks between a third and a half of a window.
+/// A number of blocks that is between a third and a half of a window.
 const CENTRED: usize = 9;
 
-/// The power sums of eight samples.
+/// Power sums of one block of eight samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct Block {
@@ -32,7 +32,7 @@ pub struct Block {
 }
 
 impl Block {
-    /// The block of eight zeros.
+    /// The block that contains eight zeros.
     pub const ZERO: Self = Self { first: 0.0, offset: 0.0, m2: 0.0, m3: 0.0, m4: 0.0 };
 
     /// Computes the block of eight samples.
@@ -54,12 +54,12 @@ impl Block {
     }
 }
 
-/// Power sums over a piece, about a reference.
+/// Power sums over a piece about a reference value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 struct Sums {
     reference: f32,
-    /// Σ(mean of block − reference), over blocks.
+    /// Σ(mean of block − reference), summed over the blocks.
     s1: f32,
     /// Σ(x − reference)², over samples.
     s2: f32,
@@ -122,17 +122,17 @@ impl Sums {
     }
 }
 
-/// The last `N` blocks in the structure of [`crate::right::sliding`].
+/// The last `N` blocks, in the structure of [`crate::right::sliding`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingMoments<const N: usize> {
     blocks: [Block; N],
-    /// For each block of the front, the sums of it and all younger blocks of the front.
+    /// For each block of the front, the sums over this block and all younger blocks of the front.
     front: [Sums; N],
     back: Sums,
 }
 
 impl<const N: usize> SlidingMoments<N> {
-    /// The window of a zero signal.
+    /// The window of a signal that is zero.
     pub const ZERO: Self = Self { blocks: [Block::ZERO; N], front: [Sums::ZERO; N], back: Sums::ZERO };
 
     /// Adds a block. Returns Σ(x − mean)², ³ and ⁴ over all samples of the last `N` blocks.
@@ -147,7 +147,7 @@ impl<const N: usize> SlidingMoments<N> {
         self.blocks[place.slot()] = block;
         let mut all = self.back;
         if in_back < N {
-            // Uses the reference of the larger part, which is closer to the mean.
+            // Uses the reference of the larger part, because it is closer to the mean.
             let (front, back) = (&self.front[place.oldest()], &self.back);
             let (small, count, large) =
                 if in_back < N / 2 { (back, in_back, front) } else { (front, N - in_back, back) };
@@ -170,12 +170,12 @@ impl<const N: usize> SlidingMoments<N> {
         )
     }
 
-    /// Turns the blocks of the back into the front. `slot` is the oldest one, which is about to be dropped.
+    /// Moves the blocks of the back to the front. `slot` is the oldest block, which is about to be dropped.
     #[inline(never)]
     fn turn(&mut self, slot: usize) {
         let newest = slot.checked_sub(1).unwrap_or(N - 1);
         let Some(newest) = self.blocks.get(newest) else { return };
-        // The newest block remains in the front until the end.
+        // The newest block stays in the front until the end.
         let mut sums = Sums::about(newest.first + newest.offset);
         let mut to_centre = CENTRED;
         for (start, mut end) in [(0, slot), (slot + 1, N)] {
@@ -198,7 +198,7 @@ impl<const N: usize> SlidingMoments<N> {
     }
 }
 
-/// Adds blocks from the last to the first, and writes the sums after each.
+/// Adds blocks from the last to the first, and writes the sums after each block.
 #[cfg(not(cortex_m4f))]
 fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
     for (block, front) in blocks.iter().zip(front).rev() {
@@ -260,7 +260,7 @@ mod cortex_m4f {
         fn bimanual_moments(sums: *mut Sums, blocks_end: *const Block, front_end: *mut Sums, count: usize);
     }
 
-    /// Like the portable version, in the same order, with all values in registers.
+    /// Does the same as the portable version in the same order, but with all values in registers.
     pub(super) fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
         let count = blocks.len().min(front.len());
         if count > 0 {
@@ -272,7 +272,7 @@ mod cortex_m4f {
     }
 }
 
-/// Sum of the last samples with an error of about 10⁻⁹ of the unit, without drift.
+/// Sum of the last samples, with an error of about 10⁻⁹ of the unit and without drift.
 ///
 /// A mean can be much smaller than the signal (a gyroscope oscillates about 0), so `f32` sums are not precise enough.
 /// Each sample is split exactly into a multiple of 1/32 and a remainder.
@@ -292,10 +292,10 @@ impl<const BLOCKS: usize> SlidingSum<BLOCKS> {
     /// The window of zeros.
     pub const ZERO: Self = Self { coarse: [0; BLOCKS], fine: [0; BLOCKS], coarse_sum: 0, fine_sum: 0 };
 
-    /// Replaces the oldest block by eight samples with magnitudes of at most [`SAMPLE_LIMIT`].
+    /// Replaces the oldest block with eight samples, whose magnitudes are at most [`SAMPLE_LIMIT`].
     #[inline(always)]
     pub fn push(&mut self, place: RingPlace<BLOCKS>, samples: &[f32; 8]) {
-        // Between 2¹⁸ and 2¹⁹ floats are multiples of 1/32.
+        // Between 2¹⁸ and 2¹⁹, floats are multiples of 1/32.
         const SPLITTER: f32 = 393_216.0;
         let split = |sample: f32| {
             let multiple = (sample + SPLITTER) - SPLITTER;

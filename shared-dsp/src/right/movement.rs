@@ -1,4 +1,4 @@
-//! Converts scores and movement of each hop to one event per movement of the hand.
+//! Converts the scores of each hop and the hand's movement to one event per movement.
 //!
 //! ```text
 //!          the hand moves            long enough, and it is over or 1.8 s old,
@@ -7,14 +7,14 @@
 //!     ▲                      │                                                      │
 //!     └──────────────────────┴───────────── some hops without movement ─────────────┘
 //! ```
-//! A gesture is normally recognised early. A movement without an event for a while is probably something else.
-//! It then causes an event only if it becomes a gesture with high confidence for two seconds.
+//! A gesture is normally recognised early. If a movement has had no event for a while, it is probably something else.
+//! Such a movement causes an event only if it becomes a gesture with high confidence for two seconds.
 //! The same applies to a movement that continues after its event and becomes a *different* gesture.
 //! The same gesture can be repeated only after rest. The labels `idle` and `other` never cause an event.
 //!
 //! If there are scores of a slow window ([`crate::right::slow`]), they can also cause an event in a long movement.
-//! They must show a gesture for long enough, because a slow left-right may not fit in the normal window.
-//! People who move slowly also pause for longer, so twice the rest is then required.
+//! These scores must show a gesture for long enough. A slow left-right, for example, may not fit in the normal window.
+//! People who move slowly also pause for longer, so twice as much rest is then required.
 //! Only the normal window can detect a change to a different gesture.
 
 use crate::right::aligned::Movement;
@@ -22,25 +22,25 @@ use crate::right::decision::GestureEvent;
 use crate::right::network::MAX_LABELS;
 use shared_words::is_rest;
 
-/// Maximum number of hops for averaging scores.
+/// Maximum number of hops over which scores are averaged.
 pub const MAX_AVERAGE_HOPS: usize = 8;
 
 /// Criteria for a movement to count as a gesture. A probability p is given as 256·p.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovementConfig {
-    /// The hand moves if [`Movement::acceleration`] is above this value in m/s² or `rotation` is exceeded.
+    /// The hand moves if [`Movement::acceleration`] is above this value in m/s², or `rotation` is exceeded.
     pub acceleration: f32,
-    /// The hand moves if [`Movement::rotation`] is above this value in deg/s or `acceleration` is exceeded.
+    /// The hand moves if [`Movement::rotation`] is above this value in deg/s, or `acceleration` is exceeded.
     pub rotation: f32,
     /// A movement ends after this many consecutive hops without movement.
     pub rest_hops: u8,
-    /// Minimum number of hops from the start of a movement to its event.
+    /// Minimum number of hops between the start of a movement and its event.
     pub min_hops: u8,
-    /// Minimum number of hops in which the hand moved.
+    /// Minimum number of hops in which the hand must have moved.
     pub min_moving: u8,
     /// After this many hops, an event no longer waits for the end of the movement.
     pub decide_hops: u8,
-    /// Number of hops whose scores are averaged, 1 to [`MAX_AVERAGE_HOPS`].
+    /// Number of hops over which scores are averaged, 1 to [`MAX_AVERAGE_HOPS`].
     pub average_hops: u8,
     /// Minimum mean probability.
     pub min_confidence: u8,
@@ -48,20 +48,20 @@ pub struct MovementConfig {
     pub max_rest: u8,
     /// A movement is long if it has had no event after this many hops.
     pub late_hops: u8,
-    /// In a long movement or after an event, a (different) gesture must persist for this many consecutive hops.
+    /// In a long movement, a gesture must persist for this number of consecutive hops. After an event, so must a different one.
     pub change_hops: u8,
     /// Minimum mean probability in each of these `change_hops` hops.
     pub change_confidence: u8,
-    /// After this many hops without an event, a movement may be a slow gesture in the slow window.
+    /// After this number of hops without an event, a movement may be a slow gesture in the slow window.
     pub slow_after_hops: u8,
-    /// A slow gesture must persist for this many consecutive normal hops.
+    /// A slow gesture must persist for this number of consecutive normal hops.
     pub slow_hops: u8,
     /// Minimum mean probability of a slow gesture over the last [`MAX_AVERAGE_HOPS`] hops of the slow window.
     pub slow_confidence: u8,
 }
 
 impl MovementConfig {
-    /// Default values for this number of axes. Without a gyroscope, movement is harder to distinguish from tremor.
+    /// Default values for this number of axes. Without a gyroscope, tremor is harder to distinguish from movement.
     pub const fn for_axes(axes: usize) -> Self {
         let has_gyro = axes >= 6;
         Self {
@@ -93,7 +93,7 @@ struct Run {
     moving: u8,
     /// Label of the last event in this movement.
     fired: Option<u8>,
-    /// Whether an event of this movement came from the slow window.
+    /// Whether the event of this movement came from the slow window.
     slow: bool,
 }
 
@@ -118,12 +118,12 @@ impl Streak {
     }
 }
 
-/// A ring of the last probabilities.
+/// A ring buffer of the last probabilities.
 #[derive(Clone, Debug)]
 struct Average {
     rows: [[u8; MAX_LABELS]; MAX_AVERAGE_HOPS],
     next: u8,
-    /// Number of valid rows, and their maximum number.
+    /// Number of valid rows, and the maximum number of rows.
     known: u8,
     most: u8,
 }
@@ -148,18 +148,18 @@ impl Average {
         (self.next, self.known) = (0, 0);
     }
 
-    /// Returns the label with the highest mean and this mean, or `None` without scores.
+    /// Returns the label with the highest mean, and this mean, or `None` if there are no scores.
     fn best(&self, labels: usize) -> Option<GestureEvent> {
         if self.known == 0 {
             return None;
         }
-        // Iterates backwards, because the last of equal sums is taken.
+        // Iterates backwards, because `max` returns the last of equal sums.
         let sums = (0..labels).rev().map(|label| (label as u8, self.sum(label)));
         let (label, sum) = sums.max_by_key(|(_, sum)| *sum)?;
         Some(GestureEvent { label, confidence: self.mean(sum) })
     }
 
-    /// Mean probability of a set of labels (bit i = label i), added up.
+    /// Mean of the summed probabilities of a set of labels (bit i = label i).
     fn together(&self, labels: u16) -> u8 {
         let sums = (0..MAX_LABELS).filter(|label| labels & (1 << label) != 0).map(|label| self.sum(label));
         self.mean(sums.sum())
@@ -167,7 +167,7 @@ impl Average {
 
     /// Sum of a label's probabilities.
     fn sum(&self, label: usize) -> u16 {
-        // Until the ring is full, only its first rows are valid.
+        // Until the ring buffer is full, only its first rows are valid.
         self.rows[..usize::from(self.known)].iter().map(|row| u16::from(row[label])).sum()
     }
 
@@ -186,9 +186,9 @@ pub struct MovementDecision {
     slow_scores: Average,
     run: Option<Run>,
     quiet: u8,
-    /// State of a gesture that begins late in a movement, or differs from the movement's event.
+    /// State of a gesture that begins late in a movement, or that differs from the movement's event.
     change: Streak,
-    /// A gesture in the slow window.
+    /// State of a gesture in the slow window.
     slow: Streak,
 }
 
@@ -208,8 +208,8 @@ impl MovementDecision {
         }
     }
 
-    /// Adds the int8 scores of a hop, one per label, and those of the slow window if new.
-    /// A probability is (score + 128) / 256. Of equal means, the first label wins. Empty scores are ignored.
+    /// Adds the int8 scores of a hop, one per label, and those of the slow window if they are new.
+    /// A probability is (score + 128) / 256. If means are equal, the first label wins. Empty scores are ignored.
     pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<GestureEvent> {
         let config = self.config;
         self.scores.push(scores);
@@ -274,7 +274,7 @@ impl MovementDecision {
     }
 
     /// Forgets the last hops after a gap.
-    /// If the movement had an event before the gap, rest is still required before the next one.
+    /// If the movement had an event before the gap, the next event still requires rest.
     pub fn reset(&mut self) {
         self.scores.clear();
         self.slow_scores.clear();
@@ -304,7 +304,7 @@ mod tests {
         scores
     }
 
-    /// Runs pieces of (hops, label, probability, movement). Returns the hops that caused an event, with its label.
+    /// Plays pieces of (hops, label, probability, movement). Returns the hops that caused an event, with the event's label.
     fn run(decision: &mut MovementDecision, pieces: &[(usize, usize, i16, Movement)]) -> Vec<(usize, u8)> {
         let hops = pieces
             .iter()
@@ -329,7 +329,7 @@ mod tests {
 
     #[test]
     fn what_looks_like_a_gesture_late_in_a_movement_must_be_sure_for_two_seconds() {
-        // From the 31st hop on, the movement is late; the mean exceeds 205 with the fourth hop of the gesture.
+        // From the 31st hop on, the movement is late. In the fourth hop of the gesture, the mean exceeds 205.
         let pieces = [(31, 2, 250, MOVING), (27, 1, 250, MOVING), (20, 2, 250, MOVING), (9, 1, 250, STILL)];
         assert_eq!(run(&mut decision(), &pieces[..2]), []);
         assert_eq!(
@@ -370,7 +370,7 @@ mod tests {
     #[test]
     fn a_movement_that_may_well_be_none_makes_no_event() {
         let config = MovementConfig { min_confidence: 110, max_rest: 70, ..MovementConfig::for_axes(9) };
-        // Probabilities (of 256) of idle, circle, other and up-down.
+        // Probabilities (of 256) of the labels idle, circle, other and up-down.
         for (shares, event) in [
             ([0, 120, 66, 70], true),
             ([0, 140, 76, 40], false),
@@ -401,13 +401,13 @@ mod tests {
         assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(21, 1), (49, 1)]);
     }
 
-    /// Runs pieces of (hops, probability of label 1 in the slow window, movement),
-    /// while the normal window shows `other`.
+    /// Plays pieces of (hops, probability of label 1 in the slow window, movement),
+    /// while the normal window always shows `other`.
     fn run_slow(decision: &mut MovementDecision, pieces: &[(usize, i16, Movement)]) -> Vec<(usize, u8)> {
         let hops = pieces.iter().flat_map(|&(count, p, movement)| (0..count).map(move |_| (p, movement)));
         let step = |(index, (p, movement)): (usize, _)| {
             let slow = scores(1, p);
-            // A slow hop takes two normal hops.
+            // One hop of the slow window takes two normal hops.
             let slow = (index % 2 == 1).then_some(slow.as_slice());
             decision.step(&scores(2, 250), slow, movement).map(|event| (index, event.label))
         };
@@ -439,7 +439,7 @@ mod tests {
         let pause = |hops| (hops, 250, STILL);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), gesture]), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(6), gesture]), [(89, 1), (195, 1)]);
-        // This is also true if the event occurs at the end of the movement.
+        // The same holds if the event occurs at the end of the movement.
         let gesture = (87, 250, MOVING);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), (100, 250, MOVING)]), [(89, 1)]);
     }

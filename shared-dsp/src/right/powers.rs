@@ -1,15 +1,15 @@
-//! Sums of the last frames' powers, without drift.
+//! Sums of the powers of the last frames, without drift.
 //!
 //! Eight sums at a time fill half of the Cortex-M4F's floating-point registers.
-//! Moving them as blocks takes a third of the instructions that a compiler generates.
+//! The assembly moves them as blocks, which takes a third of the instructions that a compiler generates.
 //! Both loops therefore also exist in assembly, which adds in the same order.
 
 use crate::right::sliding::RingPlace;
 
-/// Powers of bins 0 to 7, or a sum of such powers.
+/// The powers of bins 0 to 7, or a sum of such powers.
 pub type Bins = [f32; 8];
 
-/// The last `N` frames in the structure of [`crate::right::sliding`].
+/// The last `N` frames, in the structure of [`crate::right::sliding`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingPowers<const N: usize> {
     slots: [Bins; N],
@@ -17,7 +17,7 @@ pub struct SlidingPowers<const N: usize> {
 }
 
 impl<const N: usize> SlidingPowers<N> {
-    /// The window of a zero signal.
+    /// The window of a signal that is zero.
     pub const ZERO: Self = Self { slots: [[0.0; 8]; N], back: [0.0; 8] };
 
     /// Adds a frame and writes the sums over the last `N` frames.
@@ -58,7 +58,7 @@ fn add_to(sum: &mut Bins, frame: &Bins) {
     }
 }
 
-/// Replaces each piece, from last to first, by the sum of itself, all later pieces and `sum`.
+/// Replaces each piece, from last to first, with the sum of this piece, all later pieces and `sum`.
 #[cfg(not(cortex_m4f))]
 fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {
     for piece in pieces.iter_mut().rev() {
@@ -137,7 +137,7 @@ mod cortex_m4f {
 
     #[inline(always)]
     pub(super) fn add_to(sum: &mut Bins, frame: &Bins) {
-        // SAFETY: as above; the routine reads everything before it writes.
+        // SAFETY: as in the function above; the routine reads everything before it writes.
         unsafe { bimanual_add8(sum, sum, frame) }
     }
 
@@ -160,7 +160,7 @@ mod tests {
             let mut window = SlidingPowers::<5>::ZERO;
             let mut all: Vec<f32> = Vec::new();
             for step in 0..24 {
-                // Each frame has its own bit, so a sum shows which frames it contains.
+                // Each frame has its own bit, so a sum shows which frames are in it.
                 let value = (1u32 << step) as f32;
                 all.push(value);
                 let mut sums = [0.0; 8];

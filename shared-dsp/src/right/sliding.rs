@@ -1,30 +1,30 @@
-//! Index logic of a sliding window over pieces that can be added but not subtracted.
+//! Index logic of a sliding window. Its pieces can be added but not subtracted.
 //!
-//! If a running sum subtracts the values that leave the window, rounding errors accumulate for ever.
+//! If a running sum subtracted the values that leave the window, rounding errors would accumulate for ever.
 //! Instead, the window has two parts.
 //! The *back* is the sum of all pieces since the last turn.
-//! The *front* stores, for each older piece, the sum of it and all younger pieces of the front.
-//! Dropping the oldest piece is therefore free.
-//! When the front is empty, the back becomes the front, with one addition per piece.
+//! For each older piece, the *front* stores the sum of this piece and all younger pieces of the front.
+//! Dropping the oldest piece therefore needs no arithmetic.
+//! When the front is empty, the back becomes the front. This takes one addition per piece.
 //! A step takes three additions on average, and pieces that have left the window do not affect any result.
-//! Results are valid once all places have been filled.
+//! Results are valid once all places have been filled with pieces.
 
 /// The actions of one step in a window of `N` pieces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RingPlace<const N: usize> {
-    // All fields are below N, on which the compiler relies.
+    // All fields are below N. The compiler relies on this.
     slot: usize,
     oldest: usize,
     in_back: usize,
 }
 
 impl<const N: usize> RingPlace<N> {
-    /// Returns the place of a step that fills `slot`, which counts up modulo `N`.
+    /// Returns the step that fills the place `slot`, which counts up modulo `N`.
     ///
     /// Before the step, `in_back` pieces are in the back.
-    /// At 0, the window turns: all pieces but the oldest are now in the front.
+    /// If `in_back` is 0, the window turns: all pieces except the oldest are then in the front.
     /// `in_back` counts up modulo `N` or `N` − 1. Windows that are fed together should start with different values.
-    /// Their turns then happen at different times. Numbers out of range count as 0.
+    /// Their turns then happen in different hops. Numbers out of range count as 0.
     #[inline(always)]
     pub fn new(slot: usize, in_back: usize) -> Self {
         const { assert!(N > 0) };
@@ -35,7 +35,7 @@ impl<const N: usize> RingPlace<N> {
         }
     }
 
-    /// The same step for another window, which has its own number of pieces in the back.
+    /// Returns the same step for another window, which has its own number of pieces in the back.
     #[inline(always)]
     pub fn with_in_back(self, in_back: usize) -> Self {
         Self { in_back: if in_back < N { in_back } else { 0 }, ..self }
@@ -44,7 +44,7 @@ impl<const N: usize> RingPlace<N> {
     /// Index of the oldest piece, which the new one replaces; below `N`.
     #[inline(always)]
     pub fn slot(&self) -> usize {
-        // SAFETY: `new` guarantees this, and nothing else writes the field.
+        // SAFETY: `new` guarantees this, and no other code writes the field.
         unsafe { core::hint::assert_unchecked(self.slot < N) };
         self.slot
     }

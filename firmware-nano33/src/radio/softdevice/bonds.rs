@@ -1,4 +1,4 @@
-//! Restricts permanent changes of the board to the laptop that bonded last.
+//! Lets only the laptop that bonded last make permanent changes to the board.
 //!
 //! Pairing is "just works" with bonding, because nrf-softdevice does not support LE Secure Connections.
 //! Before the first bond, and for [`PAIRING`] after each start, any laptop may bond and replace the previous one.
@@ -20,7 +20,7 @@ use super::flash::SoftDeviceFlash;
 use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
 
-/// Whether the laptop listens, and the same in S140's own form. A bonded laptop may rely on it after an absence.
+/// Whether the laptop listens, and its subscription in S140's own format. A bonded laptop expects it to survive an absence.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 struct Subscription {
@@ -31,7 +31,7 @@ struct Subscription {
 
 const NO_SUBSCRIPTION: Subscription = Subscription { on: 0, len: 0, attributes: [0; 30] };
 
-/// The keys of the laptop that bonded last.
+/// The stored keys of the laptop that bonded last.
 #[derive(Clone, Copy)]
 #[repr(C)]
 struct Bond {
@@ -54,11 +54,11 @@ pub struct Bonder {
 }
 
 impl Bonder {
-    /// Loads the keys from flash.
+    /// Loads the stored keys from flash.
     pub fn load() -> Self {
         let page = BOND_PAGE as *const u32;
         // SAFETY: this is memory-mapped flash that the linker does not use.
-        // The magic word includes a version of the layout, so the bytes are a bond that this image wrote,
+        // The magic word includes a version of the layout, so these bytes are a bond that this image wrote,
         // and all of its fields
         // are plain integers.
         let bond = unsafe {
@@ -72,7 +72,7 @@ impl Bonder {
         }
     }
 
-    /// Resets the trust for a new link.
+    /// Resets the trusted state for a new link.
     pub fn forget_link(&self) {
         self.offered.set(false);
         self.trusts.set(false);
@@ -153,7 +153,7 @@ pub async fn save_bonds(bonder: &'static Bonder) -> ! {
         let bond = bonder.to_save.wait().await;
         let mut words = [0; 1 + BOND_WORDS];
         words[0] = BOND_MAGIC;
-        // SAFETY: the values are plain integers, copied as bytes to a buffer of at least their size.
+        // SAFETY: the values are plain integers. They are copied as bytes to a buffer that is large enough.
         unsafe {
             (&raw const bond)
                 .cast::<u8>()

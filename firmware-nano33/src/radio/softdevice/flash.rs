@@ -1,9 +1,9 @@
-//! Writing to flash through the SoftDevice, which owns it.
+//! Writes to flash through the SoftDevice, which owns the flash controller.
 
 use crate::storage::{Flash, FlashFailed, PAGE_BYTES};
 
-/// The SoftDevice's flash calls, which fit between radio events. One user at a time. If the radio leaves no room
-/// (while a link begins, changes or ends) the SoftDevice gives up after a while, and is asked again.
+/// The SoftDevice's flash calls, which fit between radio events. Only one user may call them at a time. If the radio leaves no
+/// time (while a link begins, changes or ends), the SoftDevice stops trying after a while, and this code asks again.
 #[derive(Clone, Copy)]
 pub struct SoftDeviceFlash;
 
@@ -12,10 +12,10 @@ static CALLS: embassy_sync::mutex::Mutex<
     Option<Calls>,
 > = embassy_sync::mutex::Mutex::new(None);
 
-/// May move between tasks: there is one executor, on one core.
+/// Tasks may share this type, because there is one executor on one core.
 struct Calls(nrf_softdevice::Flash);
 
-// SAFETY: the calls have no state but a flag; the marker in it only keeps it on one core.
+// SAFETY: the calls have no state except a flag. The marker only keeps the type on one core.
 unsafe impl Send for Calls {}
 
 impl SoftDeviceFlash {
@@ -28,7 +28,7 @@ impl SoftDeviceFlash {
     }
 }
 
-/// Times that an operation is asked for, and the pause in between.
+/// Number of times that an operation is requested, and the pause between requests.
 const TRIES: usize = 5;
 const PAUSE: embassy_time::Duration = embassy_time::Duration::from_millis(50);
 
@@ -48,12 +48,12 @@ impl Flash for SoftDeviceFlash {
 
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
         use embedded_storage_async::nor_flash::NorFlash;
-        // SAFETY: words are bytes; the length is the same.
+        // SAFETY: words may be read as bytes, and the length in bytes is the same.
         let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
         let mut calls = CALLS.lock().await;
         let calls = calls.as_mut().ok_or(FlashFailed)?;
         for _ in 0..TRIES {
-            // Writing the same words once more changes nothing.
+            // Writing the same words again has no effect.
             if calls.0.write(address, bytes).await.is_ok() {
                 return Ok(());
             }

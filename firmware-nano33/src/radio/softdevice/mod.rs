@@ -1,6 +1,6 @@
-//! Bluetooth through the SoftDevice S140 7.x, which lies below the image.
+//! Bluetooth through the SoftDevice S140 7.x, which is in flash below the image.
 //!
-//! States may be read by any laptop; who may write is said in `bonds.rs`. Only this folder knows nrf-softdevice.
+//! Any laptop may read states; `bonds.rs` describes which laptops may write. Only this folder uses nrf-softdevice.
 
 mod bonds;
 mod flash;
@@ -31,11 +31,11 @@ use nano33_radio::{
     ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION,
 };
 
-/// Notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers more.
+/// Number of notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers need more.
 const QUEUE: u8 = 8;
-/// A laptop that has written nothing for this long is asked for its interval again. S140 wants an authenticated packet each 480 s
-/// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
-/// to a request is such a packet.
+/// If a laptop has written nothing for this long, the board requests its interval again. S140 needs an authenticated packet
+/// every 480 s, and the answer to this request is one. Otherwise, with a laptop whose radio lacks LE Ping, S140 raises
+/// an event at which nrf-softdevice panics.
 const QUIET: Duration = Duration::from_secs(120);
 
 type Payload = heapless08::Vec<u8, PAYLOAD>;
@@ -62,12 +62,12 @@ struct Server {
 pub struct Radio(&'static mut Softdevice);
 
 impl Radio {
-    /// Starts the SoftDevice. `embassy_nrf::init` has run, since it writes registers that are S140's from here on.
+    /// Starts the SoftDevice. `embassy_nrf::init` must have run, because it writes registers that S140 then owns.
     pub fn start() -> Self {
         Self(enable())
     }
 
-    /// A random number from S140's pool, 0 if it is still empty.
+    /// Returns a random number from S140's pool, or 0 if the pool is still empty.
     pub fn random(&mut self) -> u32 {
         let mut bytes = [0; 4];
         for _ in 0..100_000 {
@@ -78,12 +78,12 @@ impl Radio {
         u32::from_le_bytes(bytes)
     }
 
-    /// Its calls for writing to flash.
+    /// The SoftDevice's calls for writing to flash.
     pub fn flash(&mut self) -> RadioFlash {
         RadioFlash::new(self.0)
     }
 
-    /// Starts what needs the SoftDevice.
+    /// Starts the tasks that need the SoftDevice.
     pub fn spawn(self, spawner: Spawner, usbd: Peri<'static, USBD>) {
         spawn(spawner, self.0, usbd);
     }
@@ -91,7 +91,7 @@ impl Radio {
 
 fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
-        // This must be the clock source of embassy-nrf, otherwise S140 restarts the clock.
+        // The clock source must be that of embassy-nrf, otherwise S140 restarts the clock.
         clock: Some(raw::nrf_clock_lf_cfg_t {
             source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
             rc_ctiv: 0,
@@ -120,7 +120,7 @@ fn enable() -> &'static mut Softdevice {
     Softdevice::enable(&config)
 }
 
-/// Whether the USB cable is in.
+/// Returns whether the USB cable is connected.
 static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
 
 /// Waits until the USB cable is connected (`true`) or disconnected (`false`). Only one task may call this.
@@ -130,24 +130,24 @@ pub async fn cable(wanted: bool) {
     }
 }
 
-/// Bits of USBREGSTATUS: the cable is connected, and the output of the regulator is ready.
+/// Bits of USBREGSTATUS: the cable is connected, and the regulator's output is ready.
 const VBUS_DETECTED: u32 = 1;
 const OUTPUT_READY: u32 = 2;
 
 fn usb_power() -> u32 {
     let mut status = 0;
-    // SAFETY: plain call of the enabled SoftDevice.
+    // SAFETY: this is a plain call of the enabled SoftDevice.
     unsafe { raw::sd_power_usbregstatus_get(&mut status) };
     status
 }
 
-/// Processes S140's events, and forwards those about cable and power to the USB driver.
+/// Processes S140's events. Events about cable and power go to the USB driver.
 #[embassy_executor::task]
 async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static SoftwareVbusDetect) -> ! {
     softdevice
         .run_with_callback(|event| match event {
             SocEvent::PowerUsbDetected => {
-                // USB requires the crystal. SAFETY: plain call of the enabled SoftDevice.
+                // USB requires the crystal. SAFETY: this is a plain call of the enabled SoftDevice.
                 unsafe { raw::sd_clock_hfclk_request() };
                 vbus.detected(true);
                 // The previous call reset the driver's record that power is ready.
@@ -198,7 +198,7 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
     }
 }
 
-/// Writes on their way from S140's callback to the decoder.
+/// Written data that waits between S140's callback and the decoder.
 /// A write that does not fit is lost, and the laptop repeats it.
 static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
 
@@ -214,7 +214,7 @@ fn ask_for(connection: &Connection, (min, max): (u16, u16)) {
     });
 }
 
-/// Requests an interval until the laptop grants one or the list ends. Later repeats the request when the link is quiet.
+/// Requests each interval in turn until the laptop grants one. Later repeats the last request when the link is quiet.
 async fn negotiate(connection: &Connection) {
     let mut asked = INTERVALS[0];
     for interval in INTERVALS {
@@ -238,7 +238,7 @@ async fn negotiate(connection: &Connection) {
 /// Returns false if the queue stays full for longer than a hop, because the frame is then late.
 async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
     let Ok(piece) = Payload::from_slice(piece) else { return false };
-    // The queue empties once per connection interval.
+    // The queue empties once in each connection interval.
     for _ in 0..16 {
         match server.hand.out_notify(connection, &piece) {
             Ok(()) => return true,
@@ -266,7 +266,7 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         let mut inlet = Inlet::new(WayOut::Ble);
         loop {
             let bytes = WRITES.receive().await;
-            // S140 has checked through `security` above that the link is encrypted, but not that the laptop is bonded.
+            // S140 has checked (`security` above) that the link is encrypted, but not that the laptop is bonded.
             inlet.take(&bytes, bonder.trusts()).await;
         }
     };
@@ -309,7 +309,7 @@ fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'stat
         Err(_) => defmt::panic!("the attribute table does not fit S140's memory"),
     };
     let bonder = &*BONDER.init(Bonder::load());
-    // SAFETY: plain calls of the enabled SoftDevice.
+    // SAFETY: these are plain calls of the enabled SoftDevice.
     unsafe {
         raw::sd_power_usbdetected_enable(1);
         raw::sd_power_usbremoved_enable(1);

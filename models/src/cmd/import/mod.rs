@@ -77,7 +77,7 @@ impl Cmd {
         }
     }
 
-    /// Returns the rules for reading, which infer and report undeclared properties.
+    /// Returns the rules of the reader, which infers and reports undeclared properties.
     fn reading(&self) -> Reading {
         let units = self.units.unwrap_or_default();
         Reading { units, rate_hz: self.rate, columns: self.columns.clone(), guess: true }
@@ -89,7 +89,7 @@ fn is_plain(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_')
 }
 
-/// Converts a device's name to a person's name in a file name.
+/// Converts the name of a device to the name of a person in a file name.
 fn plain(name: &str) -> String {
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let name = name.trim_matches('-');

@@ -17,23 +17,23 @@ use rayon::prelude::*;
 use super::report::Report;
 use super::{Cmd, is_plain, plain};
 
-/// A longer pause in ms separates recordings, because the movement in it is unknown.
+/// A longer pause (in ms) separates recordings, because the movement during the pause is unknown.
 const HOLE_MS: f64 = 1000.0;
-/// Shorter recordings in seconds are omitted, because no gesture is that short.
+/// Shorter recordings (in seconds) are omitted, because no gesture is that short.
 const SHORTEST_S: f64 = 0.3;
 
-/// Files that are read together as one recording.
+/// Files that are read together because they form one recording.
 struct Source {
-    /// Files of one recording: a single file, or one per sensor.
+    /// The files of one recording: either a single file, or one file per sensor.
     files: Vec<PathBuf>,
-    /// The folder given on the command line, or the file's own folder.
+    /// The folder given on the command line, or the folder of a given file.
     below: PathBuf,
     labelled: Option<Labelled>,
     part: Option<Part>,
 }
 
 impl Source {
-    /// Returns the recording's name for the output.
+    /// Returns the name of the recording in the output.
     fn name(&self) -> String {
         match self.files.as_slice() {
             [file] => file.display().to_string(),
@@ -57,7 +57,7 @@ struct Item {
 struct Read {
     items: Vec<Item>,
     notes: Vec<String>,
-    /// Whether the label was only inferred from a file's name.
+    /// Whether only a file's name gave the label.
     label_from_name: bool,
 }
 
@@ -214,7 +214,7 @@ impl Cmd {
         Ok(read)
     }
 
-    /// Returns the label of a source, and whether it comes only from a file's name.
+    /// Returns the label of a source, and whether only a file's name gave it.
     fn label_of(&self, source: &Source) -> (Option<String>, bool) {
         if let Some(label) = &self.label {
             return (Some(canonical(label)), false);
@@ -225,7 +225,7 @@ impl Cmd {
             None => {}
         }
         let file = &source.files[0];
-        // A folder that contains one recording counts as a file.
+        // A folder that contains one recording counts as if it were a file.
         let (parent, name) = match source.files.len() {
             1 => (file.parent(), file.file_name()),
             _ => (file.parent().and_then(Path::parent), file.parent().and_then(Path::file_name)),
@@ -242,7 +242,7 @@ impl Cmd {
         }
         let name = name.unwrap_or_default().to_string_lossy().into_owned();
         let stem = name.split('.').next().unwrap_or_default();
-        // Numbers, dates and times after a name are only serial numbers.
+        // Numbers, dates and times after a name are serial numbers, and not part of the name.
         let stem = stem.trim_end_matches(|c: char| c.is_ascii_digit() || matches!(c, '-' | '_' | ' '));
         ((!stem.is_empty()).then(|| canonical(stem)), true)
     }
@@ -286,7 +286,7 @@ impl Cmd {
                 .with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
         }
         writes.par_iter().try_for_each(|(file, text)| {
-            // Writes each file completely or not at all, but without waiting for the disk 10,000 times.
+            // Writes each file completely or not at all. For speed, it does not wait 10,000 times for the disk.
             let part = file.with_extension("csv.part");
             std::fs::write(&part, text)
                 .and_then(|()| std::fs::rename(&part, file))
@@ -305,7 +305,7 @@ impl Cmd {
     }
 }
 
-/// Splits the recording at its pauses, and adds the number of discarded short pieces to `short`.
+/// Splits the recording at its pauses, and adds the number of short pieces that it discarded to `short`.
 fn parted(recording: &Recording, short: &mut usize) -> Vec<Recording> {
     let ends = recording.holes(HOLE_MS).into_iter().map(|(before, _)| before + 1).chain([recording.len()]);
     let mut start = 0;
@@ -339,7 +339,7 @@ fn known(folder: &Path) -> anyhow::Result<HashSet<String>> {
     Ok(files.par_iter().filter_map(sum).collect())
 }
 
-/// Collects data files in a folder and its subfolders, sorted. A folder with one file per sensor is one source.
+/// Collects data files from a folder and its subfolders, sorted. A folder with one file per sensor is one source.
 fn collect(source: &Path, below: &Path, found: &mut Vec<Source>) -> anyhow::Result<()> {
     let about = || format!("{}: give data files, or a folder of them", source.display());
     let one = |files| Source { files, below: below.to_owned(), labelled: None, part: None };
@@ -385,7 +385,7 @@ fn one_per_sensor(entries: &[PathBuf]) -> Option<Vec<PathBuf>> {
     let alone = find(&["accelerometer", "acceleration"]);
     let gyroscope = find(&["gyroscope"]);
     let magnetometer = find(&["magnetometer"]);
-    // Sensor Logger subtracts gravity in Accelerometer.csv, so its gravity file is needed too.
+    // Sensor Logger subtracts gravity in Accelerometer.csv, so the file with gravity is needed too.
     let gravity = find(&["gravity"]).filter(|_| total.is_none());
     let others = [gravity, gyroscope, magnetometer];
     if total.is_none() && others.iter().all(Option::is_none) {

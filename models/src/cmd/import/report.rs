@@ -1,4 +1,4 @@
-//! The result of an import.
+//! The report about the result of an import.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ const RANGES: [f32; 4] = [2.0, 4.0, 8.0, 16.0];
 /// Collects it.
 #[derive(Default)]
 pub(super) struct Report {
-    /// Inferences and repairs without their numbers, each with its first note and its sources.
+    /// Inferences and repairs without their numbers, each with its first note and the names of its sources.
     notes: BTreeMap<String, (String, Vec<String>)>,
     labels: BTreeMap<(Option<Part>, String), Label>,
 }
@@ -38,7 +38,7 @@ impl Report {
         }
     }
 
-    /// Prints each note once, with its sources.
+    /// Prints each note once, with the names of its sources.
     pub fn print_notes(&self) {
         for (note, sources) in self.notes.values() {
             match sources.as_slice() {
@@ -92,7 +92,7 @@ fn typical_length(recording: &Recording) -> f32 {
     lengths[lengths.len() / 2]
 }
 
-/// Returns the number of samples at the end of the accelerometer's range, if there are at least three.
+/// Returns the number of samples at the limits of the accelerometer's range, if there are at least three.
 fn clipped(recording: &Recording) -> usize {
     let largest = |sample: &[f32]| sample[..3].iter().fold(0.0f32, |largest, x| largest.max(x.abs()));
     let limit = recording.samples().map(largest).fold(0.0, f32::max);

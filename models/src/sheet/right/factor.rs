@@ -1,4 +1,4 @@
-//! Determines the conversion to our units from the user's options, the file's declarations and the samples.
+//! Determines the factors that convert to our units, from the user's options, the file's declarations and the samples.
 
 use super::judge::{self, Verdict};
 use super::layout::Source;
@@ -32,7 +32,7 @@ pub(super) fn acceleration_factor(
             }
             return Ok(expected);
         }
-        // Violent movement hides gravity, so the user decides.
+        // Violent movement hides gravity, so the user must decide.
         Verdict::NoGravity(typical)
             if told.is_some()
                 && (judge::LIGHTEST..judge::HEAVIEST).contains(&(typical / names::G as f32)) =>
@@ -75,8 +75,8 @@ pub(super) fn acceleration_factor(
     Ok(factor)
 }
 
-/// Returns the factor of turn rates to deg/s, or of the field to µT.
-/// `judge` returns whether the samples times a factor are in the other unit, rad/s or gauss.
+/// Returns the factor that converts turn rates to deg/s, or the field to µT.
+/// `judge` returns whether the samples (times a factor) are in the other unit, rad/s or gauss.
 pub(super) fn other_factor(
     sensor: Sensor,
     source: &Source,

@@ -1,42 +1,42 @@
-//! Infers the units of samples from gravity and from the movement of hands.
+//! Infers the units of samples from gravity and from how hands move.
 //!
 //! At rest, an accelerometer measures gravity: 9.8 in m/s², 1 in g, or thousands in counts.
-//! It measures nothing if a phone has subtracted gravity.
+//! An accelerometer measures nothing at rest if a phone has subtracted gravity.
 //! A moving hand also rotates.
-//! The ratio of both standard deviations (gyroscope in deg/s to accelerometer in m/s²) is 6 to 90.
-//! In rad/s, it is 0.1 to 1.6. These figures are from 1,100 recordings of five boards.
+//! The standard deviation of the gyroscope (deg/s) is 6 to 90 times that of the accelerometer (m/s²).
+//! If the gyroscope is in rad/s, this ratio is 0.1 to 1.6. These figures come from 1,100 recordings of five boards.
 
 use super::names::G;
 
-/// Fewer samples do not permit an inference.
+/// Fewer samples are not enough for an inference.
 const ENOUGH: usize = 20;
 /// A window of half a second is at rest if its deviation is a smaller fraction of its mean.
 const REST: f32 = 0.03;
-/// Gravity at rest in g; sensors have errors of several per cent.
+/// Range of gravity at rest in g; sensors have errors of several per cent.
 const ONE_G: std::ops::RangeInclusive<f32> = 0.85..=1.17;
-/// If the fraction of windows at rest is smaller and they do not show gravity, they may not be real rest.
+/// If fewer windows are at rest and they do not show gravity, they may not be real rest.
 const FEW: f32 = 0.25;
-/// Maximum variation of gravity between windows at rest. Real sensors have up to 0.07.
-/// If gravity was subtracted, the remainder varies with the tilt of the hand.
+/// Maximum variation of gravity between windows at rest. Real sensors vary by up to 0.07.
+/// If gravity was subtracted, the remaining acceleration varies with the tilt of the hand.
 const APART: f32 = 0.2;
-/// Maximum deviation of all samples relative to gravity; real recordings have at most 1.8.
+/// Maximum deviation of all samples relative to gravity; real recordings reach at most 1.8.
 const WILDEST: f32 = 2.5;
 /// For a hand that never rests, the minimum mean acceleration relative to the median magnitude; below it,
 /// gravity is missing.
-/// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have 0.36 to 1.
+/// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have values of 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
-/// Minimum mean if the unit seems to be g, also relative to the deviation.
+/// Minimum mean if the unit seems to be g; it also applies relative to the deviation.
 /// This minimum is stricter, because movement without gravity has a similar magnitude in m/s².
-/// Of 426 real recordings in g, one is below this value; with linear acceleration, two thirds are.
+/// Of 426 real recordings in g, one is below this value. Two thirds of the recordings of linear acceleration are below it.
 const LEAST_MEAN_IN_G: f32 = 0.4;
 const LEAST_MEAN_OF_DEVIATION: f32 = 0.45;
 /// Range of the median magnitude of a moving hand's acceleration, in g.
 pub(super) const LIGHTEST: f32 = 0.6;
 pub(super) const HEAVIEST: f32 = 3.2;
-/// Range of the ratio of deviations (turn rate to acceleration in m/s²) for rad/s.
-/// Below it, the hand does not rotate, or the gyroscope is defective.
+/// Range of the ratio between the deviations of turn rate and acceleration (in m/s²) if the turn rate is in rad/s.
+/// Below this range, the hand does not rotate, or the gyroscope is defective.
 const TURNS: std::ops::Range<f32> = 0.02..1.6;
-/// With less movement in m/s², rotation is not conclusive, for example if a hand rests in a car.
+/// With less movement (in m/s²), rotation proves nothing, for example if a hand rests in a car.
 const MOVES: f32 = 2.0;
 
 /// What acceleration looks like.
@@ -46,18 +46,18 @@ pub(crate) enum Verdict {
     MetresPerS2,
     /// In g, with gravity.
     G,
-    /// The unit is a thousandth of g, with gravity.
+    /// The unit is a thousandth of g, and gravity is present.
     MilliG,
-    /// Gravity was subtracted. Contains the median magnitude in the file's unit.
+    /// Gravity was subtracted. The value is the median magnitude in the file's unit.
     NoGravity(f32),
-    /// None of these: raw counts, or an uncalibrated sensor. Contains gravity in the file's unit.
+    /// The samples are raw counts, or the sensor is not calibrated. The value is gravity in the file's unit.
     Odd(f32),
     /// Too short.
     Unknown,
 }
 
 impl Verdict {
-    /// Returns the number of m/s² per unit, if known.
+    /// Returns the number of m/s² per unit, if it is known.
     pub(crate) fn factor(self) -> Option<f64> {
         match self {
             Verdict::MetresPerS2 => Some(1.0),
@@ -77,7 +77,7 @@ fn median(mut values: Vec<f32>) -> f32 {
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// Returns the mean and the total deviation of vectors.
+/// Returns the mean of vectors and their total deviation.
 fn moments(vectors: &[[f32; 3]]) -> ([f32; 3], f32) {
     let n = vectors.len().max(1) as f64;
     let mut mean = [0.0f64; 3];
@@ -129,12 +129,12 @@ pub(crate) fn acceleration(samples: &[[f32; 3]], rate_hz: f64) -> Verdict {
     let rest = at_rest(samples, rate_hz);
     let known = [(g, Verdict::MetresPerS2), (1.0, Verdict::G), (1000.0, Verdict::MilliG)];
     let unit_of = |gravity: f32| known.into_iter().find(|(unit, _)| scaled(*unit, &ONE_G, gravity));
-    // An up-down stroke has almost constant acceleration at each reversal, so one or two such windows are not rest.
+    // An up-down stroke has almost constant acceleration at each reversal, so one or two quiet windows are not rest.
     let rest = rest.filter(|(gravity, _, share)| unit_of(*gravity).is_some() || *share >= FEW);
     if let Some((gravity, apart, _)) = rest {
         let found = unit_of(gravity);
         return match found {
-            // If the magnitude at rest is very small, there is no gravity.
+            // If the magnitude at rest is very small, gravity is missing.
             None if gravity < 0.3 => Verdict::NoGravity(typical),
             None => Verdict::Odd(gravity),
             Some((_, Verdict::G)) if apart > APART || deviation > WILDEST * gravity => {
@@ -204,11 +204,11 @@ mod tests {
             let verdict = acceleration(&waved(1.0, 0.0, size), 100.0);
             assert!(matches!(verdict, Verdict::NoGravity(_)), "{size}: {verdict:?}");
         }
-        // Gravity was subtracted from one axis only, and the hand was tilted.
+        // Gravity was subtracted from only one axis, and the hand was tilted.
         let tilted = vec![[4.0, 0.5, -1.2]; 100];
         assert!(matches!(acceleration(&tilted, 100.0), Verdict::Odd(_)));
         assert_eq!(acceleration(&tilted[..10], 100.0), Verdict::Unknown);
-        // The remainder accidentally looks like one g, until the hand turns or moves.
+        // The remaining acceleration accidentally looks like one g until the hand turns or moves.
         let turned = [vec![[0.9, 0.3, -0.1]; 100], vec![[0.2, 1.6, -0.4]; 80]].concat();
         assert!(matches!(acceleration(&turned, 100.0), Verdict::NoGravity(_)));
         let moved = [vec![[0.9, 0.3, -0.1]; 100], waved(1.0, 0.0, 6.0)].concat();
@@ -226,7 +226,7 @@ mod tests {
         let mut stroked = waved(1.0, 9.81, 6.0);
         stroked[300..360].fill([0.0, 0.3, 12.4]);
         assert_eq!(acceleration(&stroked, 100.0), Verdict::MetresPerS2);
-        // A long rest at 12 means counts.
+        // A long rest at the value 12 means that the samples are counts.
         stroked[200..400].fill([0.0, 0.3, 12.4]);
         assert!(matches!(acceleration(&stroked, 100.0), Verdict::Odd(_)));
     }

@@ -1,4 +1,4 @@
-//! Assigns the columns of a file to sensors and time.
+//! Assigns the columns of a file to the sensors and to time.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,9 +14,9 @@ use crate::sheet::{SENSORS, Sensor};
 pub(super) struct Source {
     /// Of x, y and z.
     pub columns: [usize; 3],
-    /// Columns to add: gravity, if a program stores it separately.
+    /// Columns to add to the others: gravity, if a program stores it separately.
     pub plus: Option<[usize; 3]>,
-    /// Factor to our unit, if the names declare one.
+    /// Factor to our unit, if the columns' names declare one.
     pub factor: Option<f64>,
     /// Factor that such names usually imply.
     pub usual: Option<f64>,
@@ -27,7 +27,7 @@ pub(super) struct Source {
 /// The used columns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layout {
-    /// The time column, with ms per unit if its name declares them.
+    /// The number of the time column, and the ms per unit if its name declares the unit.
     pub time: Option<(usize, Option<f64>)>,
     /// Acceleration, turn rate, field.
     pub sensors: [Option<Source>; 3],
@@ -37,14 +37,14 @@ pub(super) struct Layout {
     pub notes: Vec<String>,
 }
 
-/// Names for columns, as given with `--columns`.
+/// Names of columns that the user gives with `--columns`.
 /// They are either our names in the order of the file (`time,accX,accY,accZ,-,-`),
 /// or pairs of our names and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Columns {
     /// Our name for each column of the file; `None` means unused.
     InOrder(Vec<Option<String>>),
-    /// Our name, and the file's name or number (from 1).
+    /// Our name, and the name or number (from 1) in the file.
     Named(Vec<(String, String)>),
 }
 
@@ -145,7 +145,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Assigns columns by the names in a header. `file` identifies the sensor if names are only x, y, z.
+    /// Assigns columns by the names in a header. `file` identifies the sensor if the names are only x, y, z.
     pub(super) fn of(header: &[String], file: &Path) -> Result<Self, Problem> {
         let mut layout = Layout::default();
         let times = header.iter().enumerate().filter_map(|(at, name)| Some((names::time(name)?, at)));
@@ -187,7 +187,7 @@ impl Layout {
         {
             layout.choose(kinds, &groups, header)?;
         }
-        // The file contains gravity only.
+        // The file contains only gravity.
         if layout.sensors.iter().all(Option::is_none) && bare == Kind::Gravity {
             layout.sensors[0] = groups.iter().find_map(Group::source);
         }
@@ -201,7 +201,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Selects the first complete group of the first of these kinds that has one.
+    /// Selects the first of these kinds that has a complete group, and returns its first complete group.
     fn choose(&mut self, kinds: &[Kind], groups: &[Group], header: &[String]) -> Result<(), Problem> {
         let of = |kind: Kind| groups.iter().filter(move |group| group.kind == kind);
         let slot = match kinds[0].sensor() {
@@ -229,7 +229,7 @@ impl Layout {
             }
             return Ok(());
         }
-        // No group is complete. A sensor with a missing axis must not be ignored silently.
+        // No group has all axes. A sensor with a missing axis must not be ignored silently.
         let broken = kinds.iter().flat_map(|kind| of(*kind)).find(|group| group.is_meant(header));
         match broken {
             None => Ok(()),
@@ -259,7 +259,7 @@ impl Layout {
     }
 }
 
-/// Returns the content of columns x, y, z from the file's name.
+/// Returns the content of columns x, y, z, which the file's name reveals.
 fn bare(file: &Path) -> Kind {
     let name = file.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     match () {
@@ -282,7 +282,7 @@ impl Group {
         self.axes.iter().all(Option::is_some)
     }
 
-    /// Returns whether the header was recognised by more than one accidental name.
+    /// Returns whether more than one name was recognised, because a single one may be accidental.
     fn is_meant(&self, header: &[String]) -> bool {
         let known = |at: usize| AXIS_NAMES.contains(&header[at].as_str());
         !self.is_whole()

@@ -1,4 +1,4 @@
-//! Recordings of the right hand: rows in a file's own units, and their conversion to recordings.
+//! Recordings of the right hand: reads rows in a file's own units and converts them to recordings.
 
 mod factor;
 mod judge;
@@ -21,13 +21,13 @@ use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError, SAME
 /// A blank line with a longer pause in ms begins another recording.
 const PAUSE_MS: f64 = 1000.0;
 
-/// Samples of one recording in a file.
+/// Samples that belong to one recording in a file.
 #[derive(Clone, Debug, Default)]
 struct Take {
     first_line: u64,
-    /// Times in the file's unit, later in ms.
+    /// Times in the file's unit, which are later converted to ms.
     times: Vec<f64>,
-    /// Values of each sensor in the file's unit.
+    /// Values of each sensor in the units of the file.
     values: [Vec<[f64; 3]>; 3],
 }
 
@@ -39,7 +39,7 @@ pub(super) struct RawSheet {
     notes: Vec<String>,
 }
 
-/// The format of right-hand recordings, with the user's options.
+/// The format of right-hand recordings, together with the user's options.
 struct Right<'r> {
     file: &'r Path,
     reading: &'r Reading,
@@ -96,7 +96,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     while let Some(row) = rows.next_row()? {
         let begins = match (row.time, takes.last()) {
             (_, None) => true,
-            // In a file with times, a blank line alone does not begin a recording.
+            // If a file has times, a blank line alone does not begin a recording.
             (Some(time), Some(take)) if take.times.last().is_some_and(|before| time >= *before) => {
                 row.is_parted && take.pauses(time, unit(&layout, row.is_of_day))
             }
@@ -116,7 +116,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     if takes.is_empty() {
         return Err(Right::empty(file, "there are no samples below the header"));
     }
-    // A recording of one sample is accidental: a pressed button or a lost line.
+    // A recording of one sample is an accident: someone pressed a button or a line was lost.
     if takes.len() > 1 {
         let whole = takes.len();
         takes.retain(|take| take.values.iter().flatten().count() > 0 && take.len() > 1);
@@ -134,7 +134,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     Ok(RawSheet { sources: layout.sensors, takes, notes })
 }
 
-/// Returns ms per unit of the times, if declared.
+/// Returns the ms per unit of the times, if the file declares them.
 fn unit(layout: &Layout, of_day: bool) -> Option<f64> {
     if of_day { Some(1000.0) } else { layout.time.and_then(|(_, unit)| unit) }
 }
@@ -162,14 +162,14 @@ impl Take {
         }
     }
 
-    /// Returns whether there is a pause before this time; `unit` is the declared one, if any.
+    /// Returns whether there is a pause before this time; `unit` is the declared unit, if any.
     fn pauses(&self, time: f64, unit: Option<f64>) -> bool {
         let unit = unit.or_else(|| clock::unit(&self.times).map(|(_, ms)| ms));
         let step = self.times.last().map_or(0.0, |last| time - last);
         unit.is_some_and(|unit| step * unit > PAUSE_MS)
     }
 
-    /// Converts times to ms, and counts equal ones.
+    /// Converts times to ms, and counts those that are equal.
     fn clocked(
         &mut self,
         file: &Path,
@@ -222,11 +222,11 @@ impl Take {
     }
 }
 
-/// Merges several files of one recording with one sensor each, interpolated at the times of the accelerometer.
-/// The result is `None` without an accelerometer, or if the files do not overlap in time.
+/// Merges several files of one recording, each with one sensor. Values are interpolated at the accelerometer's times.
+/// The result is `None` if there is no accelerometer, or if the files do not overlap in time.
 ///
 /// # Errors
-/// This function has the errors of [`super::parse`].
+/// The errors are the same as those of [`super::parse`].
 pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<Sheet>, RecordingError> {
     let mut sheets = Vec::new();
     for (file, bytes) in files {
@@ -295,7 +295,7 @@ impl Take {
 }
 
 impl RawSheet {
-    /// Returns one sensor's samples of all recordings, multiplied by a factor.
+    /// Returns the samples of one sensor in all recordings, multiplied by a factor.
     fn of(&self, sensor: Sensor, factor: f64) -> Vec<[f32; 3]> {
         let values = self.takes.iter().flat_map(|take| &take.values[sensor as usize]);
         values.map(|sample| sample.map(|value| (value * factor) as f32)).collect()

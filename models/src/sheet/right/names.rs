@@ -1,11 +1,11 @@
-//! Recognises columns by their names: the axes of three sensors, time, and declared units.
+//! Recognises columns by their names, which contain the axes of three sensors, the time, and declared units.
 
 use crate::sheet::Sensor;
 
 /// Gravity in m/s², by definition.
 pub(crate) const G: f64 = 9.806_65;
 
-/// Units of each sensor: their spelling in lower case, and the number of our units (m/s², deg/s, µT) in one.
+/// Units of each sensor: their spelling in lower case, and how many of our units (m/s², deg/s, µT) one of them is.
 const ACCELERATION: &[(&str, f64)] = &[
     ("m/s2", 1.0),
     ("m/s²", 1.0),
@@ -47,7 +47,7 @@ const FIELD: &[(&str, f64)] = &[
     ("nt", 0.001),
 ];
 
-/// Spellings of a sensor's units with their factors.
+/// Spellings of a sensor's units, and their factors.
 pub(crate) fn units(sensor: Sensor) -> &'static [(&'static str, f64)] {
     match sensor {
         Sensor::Acceleration => ACCELERATION,
@@ -56,7 +56,7 @@ pub(crate) fn units(sensor: Sensor) -> &'static [(&'static str, f64)] {
     }
 }
 
-/// Returns the number of our units in a unit, if it belongs to this sensor.
+/// Returns how many of our units one such unit is, if it belongs to this sensor.
 pub(crate) fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     let unit = unit.trim().to_lowercase();
     units(sensor).iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
@@ -69,7 +69,7 @@ pub(super) enum Kind {
     GForce,
     /// Acceleration including gravity.
     Acceleration,
-    /// Acceleration without gravity, according to its name.
+    /// Acceleration whose name says that gravity was removed.
     Linear,
     /// Gravity alone.
     Gravity,
@@ -79,7 +79,7 @@ pub(super) enum Kind {
     Bare,
 }
 
-/// The information in a column's name.
+/// The information that a column's name contains.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Named {
     pub kind: Kind,
@@ -89,11 +89,11 @@ pub(super) struct Named {
     pub factor: Option<f64>,
     /// Factor that names like this one usually imply, if it differs from ours.
     pub usual: Option<f64>,
-    /// The squashed name without axis and unit, which is common to all columns of one sensor.
+    /// The squashed name without axis and unit, which all columns of one sensor share.
     pub stem: String,
 }
 
-/// Returns lower-case letters and digits only.
+/// Returns only the lower-case letters and digits of the name.
 pub(super) fn squash(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
@@ -108,7 +108,7 @@ fn apart(name: &str) -> (String, Option<&str>) {
     }
 }
 
-/// Splits a name into words, at characters other than letters and digits and before capitals.
+/// Splits a name into words, at capitals and at characters other than letters and digits.
 fn words(name: &str) -> Vec<String> {
     let mut words = Vec::new();
     let mut word = String::new();
@@ -140,13 +140,13 @@ fn suffix(sensor: Sensor, words: &[String]) -> Option<f64> {
     if words.len() > 1 && taken.contains(&last.as_str()) { factor(sensor, last) } else { None }
 }
 
-/// Recognises the name of a sample's column.
+/// Recognises the name of a column with samples.
 pub(super) fn sample(name: &str) -> Option<Named> {
     let (plain, unit) = apart(name);
     let words = words(&plain);
     let squashed = squash(&plain);
     let letter = |word: &str| ["x", "y", "z"].iter().position(|axis| *axis == word);
-    // The axis is a separate word, or the last letter of one.
+    // The axis is a separate word, or the last letter of a word.
     let found = words.iter().rev().find_map(|word| letter(word));
     let (axis, rest) = match found {
         Some(axis) => {
@@ -190,7 +190,7 @@ pub(super) fn sample(name: &str) -> Option<Named> {
         _ if has(&["gforce"]) => Kind::GForce,
         _ => return None,
     };
-    // A unit in brackets identifies the sensor of an axis.
+    // A unit in brackets identifies the sensor to which an axis belongs.
     let of_unit = |unit: &str| {
         let kinds = [
             (Sensor::Acceleration, Kind::Acceleration),
@@ -211,7 +211,7 @@ pub(super) fn sample(name: &str) -> Option<Named> {
     }
     let sensor = kind.sensor()?;
     let declared = unit.and_then(|unit| factor(sensor, unit)).or_else(|| suffix(sensor, &words));
-    // Apple's and Physics Toolbox's turn rates are in rad/s without a declaration.
+    // Apple and Physics Toolbox write turn rates in rad/s without a declaration.
     let usual = match kind {
         Kind::GForce => Some(G),
         Kind::TurnRate if rest == "w" || rest.contains("rotationrate") => factor(Sensor::TurnRate, "rad/s"),
@@ -232,7 +232,7 @@ impl Kind {
     }
 }
 
-/// Recognises a time column, with a rank (0 is best), and the ms per unit if the name declares it.
+/// Recognises a time column. Returns its rank (0 is best), and the ms per unit if the name declares the unit.
 pub(super) fn time(name: &str) -> Option<(u8, Option<f64>)> {
     let (plain, bracket) = apart(name);
     let words = words(&plain);

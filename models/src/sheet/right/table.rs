@@ -1,4 +1,4 @@
-//! Samples of other file formats with named columns.
+//! Reads samples from other file formats that have named columns.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ impl Table {
         Ok(Self { layout, values: Default::default() })
     }
 
-    /// The columns used, and the sensor of each.
+    /// The columns that are used, and the sensor of each.
     pub fn columns(&self) -> impl Iterator<Item = (usize, Sensor)> {
         self.layout.sensors.iter().zip(SENSORS).flat_map(|(source, sensor)| {
             let source = source.iter();
@@ -56,7 +56,7 @@ impl Table {
         }
     }
 
-    /// Adds one sample of every column. Short rows are ignored.
+    /// Adds one sample, which has a value in every column. Short rows are ignored.
     pub fn push(&mut self, row: &[f64]) {
         for (source, values) in self.layout.sensors.iter().zip(&mut self.values) {
             let Some(source) = source else { continue };

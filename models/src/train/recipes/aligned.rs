@@ -1,4 +1,4 @@
-//! Recipe `aligned`, for people outside the training data.
+//! Recipe `aligned`, for people who are not in the training data.
 //!
 //! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]) and windows that are varied
 //! to simulate other hands.
@@ -23,7 +23,7 @@ use crate::train::steps::{self, Start};
 use crate::train::vary::{self, Kind, vary};
 use crate::windows::{aligned_features, cut, prepare};
 
-/// How often each window of daily movement is learnt, beside ten copies of each window of a recording.
+/// Number of times that each window of daily movement is learned, beside ten copies of each window of a recording.
 const DAILY_WEIGHT: usize = 8;
 
 /// The recipe's settings.
@@ -33,18 +33,18 @@ pub struct Aligned {
     pub steps: Steps,
     /// Number of varied copies of each window of a recording.
     pub copies: usize,
-    /// Number of simulated wearers whose movements are examples of `other`.
-    /// This label is added if the recordings do not have it, so that the model can reject movements.
+    /// Number of simulated wearers whose movements are training examples of `other`.
+    /// If the recordings do not have the label `other`, it is added, so that the model can reject movements.
     pub bystanders: u32,
     /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who show the gestures
     /// that the simulator supports.
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
-    /// Real people whose daily movement is also an example of `other`; only with `bystanders`.
+    /// Real people whose daily movement also provides examples of `other`; only with `bystanders`.
     pub daily: Daily,
 }
 
-/// The recipe with its default parameters.
+/// Returns the recipe with its default parameters.
 pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
@@ -111,7 +111,7 @@ impl Recipe for Aligned {
             let windows = aimless(axes, self.bystanders);
             bystanders = windows.len();
             beside.of_people.push((windows, label));
-            // For adaptation, they come from the crate and not from the model's memory.
+            // For adaptation, these windows come from the crate and not from the model's memory.
             let daily = Arc::new(self.daily.rows(axes));
             everyday = daily.len();
             beside.of_nobody.extend((0..DAILY_WEIGHT).map(|_| (Arc::clone(&daily), label)));
@@ -132,7 +132,7 @@ impl Recipe for Aligned {
     }
 
     fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
-        // The addition prevents noise amplification in features that hardly vary.
+        // The addition prevents the amplification of noise in features that hardly vary.
         scaling(learnt, |_, deviation| deviation + 0.1, real, 1.0..=20.0)
     }
 
@@ -145,7 +145,7 @@ impl Recipe for Aligned {
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
-    /// Varied windows are more extreme than real ones and would waste a part of the int8 range.
+    /// Varied windows are more extreme than real ones, so they would waste a part of the int8 range.
     fn calibration(&self) -> Calibration {
         Calibration::Real
     }
@@ -160,7 +160,7 @@ impl Recipe for Aligned {
 
     fn for_simulated(&self) -> Box<dyn Recipe> {
         let copies = self.copies.min(3);
-        // The figures of `models simulated` were taken with the fewest steps.
+        // The figures of `models simulated` were measured with the minimum number of steps.
         let steps = Steps { most: self.steps.count, ..self.steps };
         Box::new(Self { steps, copies, bystanders: 0, performers: 0, daily: Daily::None })
     }

@@ -1,6 +1,6 @@
 //! Recipe `log-power`: features per axis with logarithmic powers, trained until convergence.
-//! Like the paper's recipe, it uses the board's directions,
-//! and can therefore distinguish gestures that mirror each other.
+//! Like the paper's recipe, it uses the axes of the board,
+//! so it can distinguish gestures that mirror each other.
 
 use shared_dsp::right::kind::FeatureKind;
 

@@ -1,4 +1,4 @@
-//! The paper's recipe, with unscaled features.
+//! The paper's recipe, which does not scale features.
 
 use shared_dsp::right::kind::FeatureKind;
 
@@ -6,7 +6,7 @@ use super::PerAxis;
 use crate::train::augment::Augmentation;
 use crate::train::epochs::Epochs;
 
-/// 30 epochs, batch 32, learning rate 5e-4, 20 % validation.
+/// The paper uses 30 epochs, batch size 32, learning rate 5e-4 and 20 % of the data for validation.
 pub const PAPER: PerAxis = PerAxis {
     name: "paper",
     about: "The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation",

@@ -1,4 +1,4 @@
-//! Recipes with features per axis and training in epochs. `paper` and `log-power` are two configurations of this type.
+//! Recipes that use features per axis and train in epochs. `paper` and `log-power` are two configurations of this type.
 
 use indicatif::ProgressBar;
 use shared_dsp::right::kind::FeatureKind;
@@ -15,7 +15,7 @@ use crate::windows::{features, prepare};
 /// Settings of such a recipe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerAxis {
-    /// The name on the command line and in cards.
+    /// The recipe's name on the command line and in cards.
     pub name: &'static str,
     /// In one sentence.
     pub about: &'static str,
@@ -23,7 +23,7 @@ pub struct PerAxis {
     pub features: FeatureKind,
     /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// Number of hops between two training windows of a recording.
+    /// Number of hops between the starts of two training windows of a recording.
     pub stride_hops: usize,
     /// The variation of recordings.
     pub augmentation: Augmentation,
@@ -67,7 +67,7 @@ impl Recipe for PerAxis {
     }
 
     fn scaling(&self, learnt: &[Row<'_>], _: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
-        // A feature that hardly varies must not amplify noise.
+        // The noise of a feature that hardly varies must not be amplified.
         let divisor = |mean: f64, deviation: f64| deviation.max(1e-3 * mean.abs()).max(1e-6);
         scaling(learnt, divisor, &mut learnt.iter().map(|(window, _)| *window), 3.0..=10.0)
     }

@@ -40,7 +40,7 @@ pub extern "C" fn main() {
     // SAFETY: this is the only reference to the static.
     let window = unsafe { &mut *core::ptr::addr_of_mut!(WINDOW) };
     let (mut worst, mut best, mut total, mut hops) = (0, u32::MAX, 0u64, 0u64);
-    // Covers all combinations of the window's 24 and 25 phases.
+    // The window has 25 places for blocks and 24 for frames. This number of hops covers every combination of both.
     for hop in 0..25 + 24 * 25 {
         let samples: [[f32; 9]; 8] = core::array::from_fn(|i| checks::sample(windows, 8 * hop + i));
         let window = black_box(&mut *window);
@@ -60,7 +60,7 @@ pub extern "C" fn main() {
     let _ = writeln!(Host, "features_hop_worst_instructions={worst}");
     let _ = writeln!(Host, "features_hop_best_instructions={best}");
     let _ = writeln!(Host, "features_hop_mean_instructions={}", total / hops);
-    // Input of only NaN: all axes take the slow path, in a hop that also turns the window.
+    // All inputs are NaN, so all axes take the slow path, in a hop in which the window also turns.
     let samples = [[f32::NAN; 9]; 8];
     let mut worst = 0;
     for _ in 0..25 {

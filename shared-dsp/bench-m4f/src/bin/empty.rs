@@ -1,4 +1,4 @@
-//! An image that computes nothing, used as the baseline for sizes.
+//! An image that computes nothing. Sizes of other images are compared with it.
 #![no_std]
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Parses a model and runs it once. The size difference to `empty` is the flash of the network.
+//! Parses a model and runs it once. Compared to `empty`, the additional size is the flash of the network.
 #![no_std]
 #![no_main]
 

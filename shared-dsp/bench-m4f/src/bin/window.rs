@@ -1,4 +1,4 @@
-//! Computes features. The size difference to `empty` is their flash, and .bss is their RAM.
+//! Computes features. Compared to `empty`, the additional size is their flash, and .bss is their RAM.
 #![no_std]
 #![no_main]
 

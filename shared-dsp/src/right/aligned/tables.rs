@@ -1,6 +1,6 @@
-//! Constants of the Fourier transform.
+//! Constants for the Fourier transform.
 
-/// One half of the 25-point Hann window without its centre: ½ + ½·cos(2πm/26), m = 1 to 12.
+/// One half of the 25-point Hann window without its centre, which is ½ + ½·cos(2πm/26) for m = 1 to 12.
 pub(super) const HANN: [f32; 12] = [
     0.985_470_9,
     0.942_728,

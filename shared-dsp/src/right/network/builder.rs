@@ -1,4 +1,4 @@
-//! Builds a blob from the numbers in a quantised TFLite model (for hosts only).
+//! Builds a blob from the numbers in a quantised TFLite model. Only laptops use this code.
 
 use super::kernel::{ROW_SCALE_BYTES, encode, surplus};
 use super::{
@@ -10,27 +10,27 @@ use core::fmt;
 use std::string::String;
 use std::vec::Vec;
 
-/// One fully connected layer as TFLite stores it.
+/// One fully connected layer in the form in which TFLite stores it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseSpec {
     /// `weights[output][input]`, each in −127..=127, with zero point 0.
     pub weights: Vec<Vec<i8>>,
     /// One bias per output, in units of the input scale times the weights' scale.
     pub biases: Vec<i32>,
-    /// Real value of one step of the inputs.
+    /// Real value of one step of the layer's inputs.
     pub input_scale: f32,
     /// The input value that represents 0.
     pub input_zero_point: i8,
     /// Real value of one step of the weights: one for all outputs,
     /// or one per output (TFLite's quantisation per channel).
     pub weight_scales: Vec<f32>,
-    /// Real value of one step of the outputs.
+    /// Real value of one step of the layer's outputs.
     pub output_scale: f32,
     /// The output value that represents 0.
     pub output_zero_point: i8,
     /// Whether a ReLU is fused into the layer.
     pub relu: bool,
-    /// Maximum output: 127, or less with a ReLU6.
+    /// Maximum output: 127, or less if the layer has a ReLU6.
     pub largest: i8,
 }
 
@@ -44,7 +44,7 @@ impl DenseSpec {
 /// The complete contents of a blob.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlobSpec {
-    /// The conversion of features to inputs.
+    /// The conversion of features to the network's inputs.
     pub recipe: FeatureKind,
     /// Values per sample.
     pub axes: usize,
@@ -56,10 +56,10 @@ pub struct BlobSpec {
     pub hop: u16,
     /// Names of the outputs in order. A name must not be empty or contain commas.
     pub labels: Vec<String>,
-    /// (a, b) for each feature: input = round(a · feature + b), applied after the recipe.
-    /// To standardise and quantise, use a = 1 / (deviation · input scale) and b = zero point − mean · a.
+    /// (a, b) for each feature: input = round(a · feature + b). This is applied after the recipe.
+    /// To standardise and quantise, set a = 1 / (deviation · input scale) and b = zero point − mean · a.
     pub scaling: Vec<(f32, f32)>,
-    /// The layers in order. A softmax follows the last one and uses its output scale.
+    /// The layers in order. A softmax, which uses the last layer's output scale, follows them.
     pub layers: Vec<DenseSpec>,
 }
 
@@ -67,9 +67,9 @@ pub struct BlobSpec {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// Sizes contradict each other or exceed a maximum, as described by the text.
+    /// Sizes contradict each other or exceed a maximum. The text describes which ones.
     Shape(String),
-    /// A number cannot be represented, as described by the text.
+    /// A number cannot be represented. The text describes which one.
     Value(String),
     /// The finished blob cannot be parsed.
     Parse(ModelError),
@@ -90,12 +90,12 @@ fn shape<T>(text: String) -> Result<T, BuildError> {
     Err(BuildError::Shape(text))
 }
 
-/// TFLite's `QuantizeMultiplier`: `real` = multiplier · 2^(exponent − 31), multiplier in 2³⁰..2³¹.
+/// Computes TFLite's `QuantizeMultiplier`: `real` = multiplier · 2^(exponent − 31), with the multiplier in 2³⁰..2³¹.
 fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
     if !(real.is_finite() && real >= f64::MIN_POSITIVE) {
         return None;
     }
-    // frexp: real = fraction · 2^exponent with fraction in ½..1.
+    // As in `frexp`, real = fraction · 2^exponent with the fraction in ½..1.
     let bits = real.to_bits();
     let mut exponent = ((bits >> 52) & 0x7FF) as i32 - 1022;
     let fraction = f64::from_bits((bits & !(0x7FF << 52)) | (1022 << 52));
@@ -110,7 +110,7 @@ fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
 /// Builds a blob. The same input always gives the same bytes.
 ///
 /// # Errors
-/// Fails if sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
+/// Fails if sizes contradict each other or exceed the format's maxima, or if numbers cannot be represented.
 pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
     let inputs = spec.recipe.feature_count(spec.axes);
     if !(1..=MAX_AXES).contains(&spec.axes) {
@@ -178,7 +178,7 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
 fn softmax_table(spec: &BlobSpec) -> Result<Vec<i32>, BuildError> {
     let scale = spec.layers.last().map_or(0.0, |layer| layer.output_scale);
     let bad = || BuildError::Value(std::format!("softmax: an input scale of {scale} cannot be represented"));
-    // TFLite's PreprocessSoftmaxScaling with beta 1 and 5 integer bits.
+    // TFLite's PreprocessSoftmaxScaling, with beta 1 and 5 integer bits.
     let real = (f64::from(scale) * f64::from(1u32 << 26)).min(f64::from(i32::MAX));
     let (multiplier, exponent) = quantise_multiplier(real).ok_or_else(bad)?;
     let left_shift = u32::try_from(exponent).ok().filter(|&shift| shift <= 31).ok_or_else(bad)?;
@@ -259,14 +259,14 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
     Ok(())
 }
 
-/// Multiplier and right shift for each scale of the weights.
+/// Multiplier and right shift that correspond to each scale of the weights.
 fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
     let one = |&weight_scale: &f32| {
         // TFLite multiplies and divides the scales as doubles.
-        // Older releases used floats for the scale of a whole tensor, and one output in 400,000 differs.
+        // Older releases used floats for the scale of a whole tensor, and one output in 400,000 then differs.
         let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
-        // A row of zeros has no scale. TFLite then multiplies by 0, and our result is also 0 for every 32-bit sum.
+        // If all weights of a row are zero, it has no scale. TFLite then multiplies by 0, and our result is also 0 for every 32-bit sum.
         if layer.weight_scales.len() > 1 && scale.is_some_and(|(_, exponent)| exponent < -31) {
             return Ok((1 << 30, 62));
         }

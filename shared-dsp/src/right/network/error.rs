@@ -1,4 +1,4 @@
-//! Errors for models that are refused.
+//! Errors that explain why a model is refused.
 
 use core::fmt;
 
@@ -12,7 +12,7 @@ pub enum ModelError {
     Truncated,
     /// The blob does not start with `BMLP`, so it is not a model.
     NotAModel,
-    /// The blob has another format version: build it again with the matching `models` tool.
+    /// The blob has another format version. The matching `models` tool must build it again.
     Version(u8),
     /// This image does not support the recipe.
     Recipe(u8),
@@ -23,14 +23,14 @@ pub enum ModelError {
         /// Index of the feature.
         feature: usize,
     },
-    /// A layer's size, multiplier or shift is out of range, or the layer does not match the previous one.
+    /// A layer's size, multiplier or shift is out of range, or the layer does not fit the previous one.
     Layer {
         /// Index of the layer.
         layer: usize,
     },
     /// The table of exponentials does not start at 1 or does not decrease.
     ExponentialTable,
-    /// The labels are empty, not printable ASCII, or have a wrong count.
+    /// The labels are empty, are not printable ASCII, or have a wrong number.
     Labels,
 }
 
@@ -63,7 +63,7 @@ impl fmt::Display for ModelError {
 
 impl core::error::Error for ModelError {}
 
-/// The length of a slice differs from the model's.
+/// The length of a slice differs from what the model requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongLength;
 

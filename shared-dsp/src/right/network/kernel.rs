@@ -1,8 +1,8 @@
-//! The inner loop of a dense layer: four rows at a time, two multiply-accumulates per instruction.
+//! The inner loop of a dense layer. It processes four rows at a time, with two multiply-accumulates per instruction.
 //!
 //! A Cortex-M4F multiplies two pairs of 16-bit numbers in one instruction (SMLAD).
 //! However, int8 numbers must first be widened, which takes as long again.
-//! The following algebra avoids most of this. For two adjacent weights (w0, w1) and inputs (x0, x1), let
+//! The following algebra avoids most of this work. For two adjacent weights (w0, w1) and inputs (x0, x1), let
 //!
 //! ```text
 //! h = 256·w0 + w1            a half-word of the blob; w1 is its low byte
@@ -11,8 +11,8 @@
 //! h·v + w1·X = 256·(w0·x0 + w1·x1) + 256·(128·w0 + w1) − w1
 //! ```
 //!
-//! Raw half-words of weights and inputs are multiplied, and only the low byte of each is widened.
-//! The sum is shifted right by 8.
+//! The code multiplies raw half-words of weights and inputs, and widens only the low byte of each.
+//! It then shifts the sum right by 8.
 //! The remaining terms are equal for all inputs, so the blob's builder subtracts them from the bias.
 
 /// Number of bias bytes at the start of a block of four rows.
@@ -27,13 +27,13 @@ pub(crate) type Quad = u32;
 
 const FLIP: u32 = 0x007F_007F;
 
-/// Converts four inputs to this form.
+/// Converts four inputs to the form that the kernel needs.
 #[inline(always)]
 pub(crate) fn pack(x: [i8; 4]) -> Quad {
     u32::from_le_bytes(x.map(|x| x as u8)) ^ FLIP
 }
 
-/// Converts back to the four inputs.
+/// Converts the kernel's form back to the four inputs.
 #[inline(always)]
 pub(crate) fn unpack(quad: Quad) -> [i8; 4] {
     (quad ^ FLIP).to_le_bytes().map(|byte| byte as i8)
@@ -47,7 +47,7 @@ pub(crate) fn encode([a, b, c, d]: [i8; 4]) -> [u8; 4] {
     [a, b, c, d]
 }
 
-/// The amount by which the kernel's sum exceeds Σ w·x, for a row of weights.
+/// The amount by which the kernel's sum exceeds Σ w·x for a row of weights.
 #[cfg(feature = "build")]
 pub(crate) fn surplus(row: &[i8]) -> i64 {
     let sum = |parity: usize| row.iter().skip(parity).step_by(2).map(|&w| i64::from(w)).sum::<i64>();
@@ -55,13 +55,13 @@ pub(crate) fn surplus(row: &[i8]) -> i64 {
     128 * first + second + (-second).div_euclid(256)
 }
 
-/// The conversion of sums to outputs.
+/// How sums are converted to outputs.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(crate) struct Requantise {
     /// A multiplier in 2³⁰..2³¹.
     pub multiplier: i32,
-    /// The product is divided by 2^shift, with a shift of 1 to 62.
+    /// The product is divided by 2^shift, where the shift is 1 to 62.
     pub shift: u32,
     /// The output value that represents 0.
     pub zero_point: i32,
@@ -70,7 +70,7 @@ pub(crate) struct Requantise {
 }
 
 impl Requantise {
-    /// Converts an accumulator to int8 by one fixed-point product, rounded once, ties up.
+    /// Converts an accumulator to int8 with one fixed-point product, which is rounded once (ties up).
     #[cfg_attr(cortex_m4f, inline(never))]
     fn apply(&self, sum: i32) -> i8 {
         let product = i64::from(sum) * i64::from(self.multiplier);
@@ -80,9 +80,9 @@ impl Requantise {
 }
 
 /// Computes a layer, four outputs at a time.
-/// For each four outputs, `blocks` contains four biases, then [`QUAD_WEIGHT_BYTES`] for each quad of inputs.
-/// These are rows 0 to 3 of the first four columns, then of the next four, and so on.
-/// If the numbers of outputs and blocks differ, the excess is ignored.
+/// For every four outputs, `blocks` contains four biases, then [`QUAD_WEIGHT_BYTES`] for each quad of inputs.
+/// These bytes are rows 0 to 3 of the first four columns, then of the next four columns, and so on.
+/// If the numbers of outputs and blocks differ, the surplus is ignored.
 ///
 /// Any alignment works, but a multiple of 4 bytes is several times faster on a Cortex-M4F.
 pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
@@ -93,8 +93,8 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
     portable(blocks, inputs, outputs, requantise);
 }
 
-/// Computes a layer whose rows have individual scales: like [`layer`],
-/// with [`ROW_SCALE_BYTES`] of `scales` for each four outputs.
+/// Computes a layer whose rows have individual scales. It works like [`layer`],
+/// with [`ROW_SCALE_BYTES`] of `scales` for every four outputs.
 /// The zero point and minimum output of `shared` apply to all rows, and no output exceeds `largest`.
 #[cfg_attr(cortex_m4f, inline(never))]
 pub(crate) fn layer_per_row(
@@ -146,7 +146,7 @@ fn row_sum(words: &[[u8; 4]], row: usize, inputs: &[Quad]) -> i32 {
     (sum >> 8).wrapping_add(i32::from_le_bytes(*bias))
 }
 
-/// The portable equivalent of the assembly below.
+/// The portable code that does the same as the assembly below.
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
     let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
@@ -198,7 +198,7 @@ mod cortex_m4f {
         };
     }
 
-    /// Computes the sums of a block's four rows in r4 to r7, including biases. r0 = arguments, r1 = block (advances).
+    /// Computes the sums of a block's four rows in r4 to r7, including biases. r0 = arguments, r1 = block (which advances).
     macro_rules! sums {
         () => {
             concat!(
@@ -231,7 +231,7 @@ mod cortex_m4f {
         };
     }
 
-    /// The assembly depends on this layout.
+    /// The assembly below depends on this layout.
     #[repr(C)]
     struct Arguments {
         inputs: *const Quad,      // 0
@@ -319,7 +319,7 @@ mod cortex_m4f {
         ".text",
     );
 
-    /// The beginning of [`Arguments`], and the destination of the sums.
+    /// The beginning of [`Arguments`], and where the sums are written.
     #[repr(C)]
     struct SumArguments {
         inputs: *const Quad, // 0
@@ -369,7 +369,7 @@ mod cortex_m4f {
                 block_bytes,
                 outputs: range.start,
                 multiplier: requantise.multiplier,
-                // The shift does not affect the low word, so the high half of the product suffices.
+                // The shift does not affect the low word, so the high half of the product is enough.
                 rounding: 1 << ((requantise.shift - 33) & 31),
                 shift: (requantise.shift - 32) & 31,
                 zero_point: requantise.zero_point,
@@ -404,7 +404,7 @@ mod tests {
         let extremes = [-127i8, -126, -1, 0, 1, 126, 127];
         let inputs_of = [-128i8, -127, -1, 0, 1, 126, 127];
         const COLUMNS: usize = 256;
-        // Shows the raw sums within int8, in steps of 2¹⁶.
+        // The outputs show the raw sums in steps of 2¹⁶, so that they fit in int8.
         let requantise = Requantise { multiplier: 1 << 30, shift: 46, zero_point: 0, smallest: -128 };
         for seed in 0..49usize {
             let weight = |row: usize, c: usize| extremes[(seed + row * 3 + c * (1 + seed % 7)) % 7];

@@ -1,4 +1,4 @@
-//! An int8 dense network in a blob, parsed without copying and run without floats.
+//! An int8 dense network in a blob. It is parsed without copying and run without floats.
 //!
 //! The arithmetic is TFLite's with single rounding (`int32` accumulators, fixed-point requantisation, int8 softmax).
 //! The outputs equal those of TFLite's reference kernels bit for bit.
@@ -10,7 +10,6 @@
 //! | offset | bytes | contents |
 //! |---|---|---|
 //! | 0 | 4 | `BMLP` |
-//! | 4 | 1 | format version, 1; 2 if a layer's rows have scales of their own |
 //! | 4 | 1 | format version: 1, or 2 if a layer's rows have individual scales |
 //! | 6 | 1 | axes, 1 to 9 |
 //! | 7 | 1 | layers, 1 to 8 |
@@ -21,24 +20,24 @@
 //! | 16 | 1 | labels, 2 to 16 |
 //! | 17 | 1 | 0 |
 //! | 18 | 2 | bytes of label text |
-//! | 20 | 2 | entries of the exponential table, 1 to 256 |
+//! | 20 | 2 | number of entries in the exponential table, 1 to 256 |
 //! | 22 | 2 | 0 |
 //! | 24 | 4 | length of the complete blob in bytes |
 //! | 28 | 8 · inputs | `a`, `b` as `f32` for each feature: input = round(a · feature + b) |
 //! | | layers | see below |
 //! | | 4 · entries | exp(−d · scale) as Q0.31 for d = 0, 1, … |
-//! | | text | labels in order, separated by commas, printable ASCII, padded with zeros |
+//! | | text | labels in order, separated by commas; printable ASCII, padded with zeros |
 //!
 //! Each layer starts with a header of 12 bytes.
-//! It contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
+//! The header contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
 //! minimum output i8, and 0.
-//! For each four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self):
-//! four columns of rows 0, 1, 2 and 3, then the next four columns.
-//! Missing rows and columns are zero. The zero points of the inputs are included in the biases.
+//! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self):
+//! four columns of rows 0, 1, 2 and 3, then the next four columns of these rows.
+//! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
 //! The header's multiplier is then 0, and the maximum output i8 replaces the shift.
-//! After the weights, four multipliers i32 and four shifts u8 follow for each four outputs.
+//! After the weights, four multipliers i32 and four shifts u8 follow for every four outputs.
 
 #[cfg(feature = "build")]
 mod builder;
@@ -76,19 +75,19 @@ const MAGIC: &[u8; 4] = b"BMLP";
 const HEADER_BYTES: usize = 28;
 const LAYER_HEADER_BYTES: usize = 12;
 
-/// Maximum size of a layer's inputs and outputs in quads for the small scratch memory,
+/// Maximum size of a layer's inputs and outputs, in quads, for which the small scratch memory suffices,
 /// so that normal networks need little stack.
 const SMALL_SCRATCH_QUADS: usize = 35;
 const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
 
-/// The requirements and labels of a model.
+/// The requirements of a model, and its labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModelHeader<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
     /// The conversion of features to inputs.
     pub recipe: FeatureKind,
-    /// Values per sample, 1 to [`MAX_AXES`].
+    /// Number of values per sample, 1 to [`MAX_AXES`].
     pub axes: usize,
     /// Samples per second.
     pub sample_hz: u16,
@@ -105,7 +104,7 @@ pub struct ModelHeader<'a> {
 }
 
 impl<'a> ModelHeader<'a> {
-    /// Names of the outputs in order.
+    /// Returns the names of the outputs in order.
     pub fn labels(&self) -> core::str::Split<'a, char> {
         self.label_text.split(',')
     }
@@ -116,7 +115,7 @@ impl<'a> ModelHeader<'a> {
     }
 }
 
-/// A network with its labels and scaling, borrowed from a blob.
+/// A network, with its labels and scaling, that borrows from a blob.
 #[derive(Clone, Copy, Debug)]
 pub struct Model<'a> {
     info: ModelHeader<'a>,
@@ -126,15 +125,15 @@ pub struct Model<'a> {
     small: bool,
 }
 
-/// A dense layer as stored in the blob.
+/// A dense layer in the form in which the blob stores it.
 struct Dense<'a> {
     inputs: usize,
     outputs: usize,
     requantise: Requantise,
     blocks: &'a [u8],
-    /// Scales of the rows if each has its own; otherwise empty.
+    /// Scales of the rows if each row has its own; otherwise empty.
     row_scales: &'a [u8],
-    /// 1 if each row has its own scale, 0 if all share one.
+    /// 1 if each row has its own scale, 0 if all rows share one.
     per_row: u8,
 }
 
@@ -189,7 +188,7 @@ impl<'a> Model<'a> {
     /// Any alignment works, but a blob at a multiple of 4 bytes runs about three times faster on a Cortex-M4F.
     ///
     /// # Errors
-    /// Returns the problem with the blob. It never panics, for any bytes.
+    /// Returns the problem with the blob. This never panics, whatever the bytes are.
     pub fn parse(blob: &'a [u8]) -> Result<Self, ModelError> {
         let header = blob.first_chunk::<HEADER_BYTES>().ok_or(ModelError::Truncated)?;
         let short = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
@@ -248,7 +247,7 @@ impl<'a> Model<'a> {
         let mut last = i32::MAX;
         for (index, word) in exponentials.iter().enumerate() {
             let value = i32::from_le_bytes(*word);
-            // The first value is 1. A sum of 16 values stays in range because none is larger or negative.
+            // The first value is 1. A sum of 16 values stays in range because no value is larger or negative.
             if value < 0 || value > last || (index == 0 && value != i32::MAX) {
                 return Err(ModelError::ExponentialTable);
             }
@@ -293,7 +292,7 @@ impl<'a> Model<'a> {
         })
     }
 
-    /// The requirements and labels of the model.
+    /// The requirements of the model, and its labels.
     pub fn info(&self) -> &ModelHeader<'a> {
         &self.info
     }
@@ -301,7 +300,7 @@ impl<'a> Model<'a> {
     /// Converts features (13 per axis, in the order of [`crate::right::features`]) to the network's int8 inputs.
     ///
     /// An input is floor(a · f + b + ½), limited to −128..=127 and computed in `f32` in this order.
-    /// Here, f is the feature after the recipe. A NaN feature becomes −128.
+    /// In this formula, f is the feature after the recipe. A NaN feature becomes −128.
     ///
     /// # Errors
     /// Fails if the number of features or inputs differs from the model's.
@@ -319,7 +318,7 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    /// Computes one input in int8 range, or 0 after the last one. Inlining would produce this code four times.
+    /// Computes one input in int8 range, or 0 after the last input. Inlining would produce this code four times.
     #[inline(never)]
     fn quantise_one(&self, features: &[f32], index: usize) -> i32 {
         let (Some(&feature), Some(pair)) = (features.get(index), self.scaling.get(index)) else {
@@ -340,7 +339,7 @@ impl<'a> Model<'a> {
     }
 
     /// Like [`Model::infer`], but also returns the inputs of the softmax.
-    /// The first `label_count` are valid, and the rest is undefined.
+    /// Only the first `label_count` values are defined.
     ///
     /// # Errors
     /// Fails if the number of inputs or scores differs from the model's.
@@ -356,7 +355,7 @@ impl<'a> Model<'a> {
         self.dispatch(&|scratch| pack_inputs(inputs, scratch), logits, scores)
     }
 
-    /// Converts features to scores: [`Model::quantise`] and [`Model::infer`] combined, without an intermediate buffer.
+    /// Converts features to scores. It combines [`Model::quantise`] and [`Model::infer`], without an intermediate buffer.
     ///
     /// # Errors
     /// Fails if the number of axes or scores differs from the model's.
@@ -368,7 +367,7 @@ impl<'a> Model<'a> {
         self.classify_features(features.as_flattened(), scores)
     }
 
-    /// Like [`Model::classify`], for a flat slice of features of any recipe.
+    /// Like [`Model::classify`], but takes a flat slice of features of any recipe.
     ///
     /// # Errors
     /// Fails if the number of features or scores differs from the model's.
@@ -403,8 +402,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    // A separate function, so that the code that fills the inputs exists once
-    // and leaves the stack before the layers run.
+    // This is a separate function, so that the code that fills the inputs exists once
+    // and its stack is free again before the layers run.
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];
@@ -418,12 +417,12 @@ impl<'a> Model<'a> {
     }
 
     /// Runs the layers.
-    /// The inputs are at the start of `scratch`; then inputs and outputs alternate between its two ends.
+    /// First, the inputs are at the start of `scratch`. Then inputs and outputs alternate between its two ends.
     #[inline(never)]
     fn forward(&self, scratch: &mut [Quad], logits: &mut [i8; MAX_LABELS]) {
         let mut layers = self.layers;
         let mut at_start = true;
-        // By reference, because a copy of the layer's numbers would use stack.
+        // The layer is passed by reference, because a copy of its numbers would use stack.
         while let Some(dense) = &Dense::take(&mut layers) {
             let (ins, outs) = (dense.inputs.div_ceil(4), dense.outputs.div_ceil(4));
             let middle = if at_start { ins } else { scratch.len().saturating_sub(ins) };
@@ -438,7 +437,7 @@ impl<'a> Model<'a> {
             if dense.per_row == 0 {
                 layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
             } else {
-                // The maximum output is stored in the place of the shift.
+                // The field of the shift contains the maximum output.
                 let largest = dense.requantise.shift as u8 as i8;
                 let output = &mut output[..outs];
                 layer_per_row(dense.blocks, dense.row_scales, input, output, &dense.requantise, largest);
@@ -470,9 +469,9 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
     (f32::from_le_bytes([a0, a1, a2, a3]), f32::from_le_bytes([b0, b1, b2, b3]))
 }
 
-/// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
+/// Returns the CRC-32 (ISO-HDLC, as in zip and PNG) of a blob, which is its model id.
 pub fn crc32(blob: &[u8]) -> u32 {
-    // This code needs no table: it runs only once at start, and a table would need a kilobyte of flash.
+    // The code uses no table: it runs only once at start, and a table would need a kilobyte of flash.
     const ISO_HDLC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     ISO_HDLC.checksum(blob)
 }
