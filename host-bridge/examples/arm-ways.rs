@@ -42,8 +42,8 @@ fn main() -> Result<()> {
     let size_m = 0.2 * reach_m;
     let boxes =
         [[0.6 * reach_m, 0.25 * reach_m, 0.3 * reach_m], [-0.3 * reach_m, -0.6 * reach_m, 0.5 * reach_m]];
-    let mut scene = format!(
-        "[base]\nsize_m = [0.02, 0.02, 0.02]\nmount_m = [0.0, 0.0, 2.0]\n[arm]\nvelocity_scaling = 1.0\nacceleration_scaling = 1.0\n"
+    let mut scene = String::from(
+        "[base]\nsize_m = [0.02, 0.02, 0.02]\nmount_m = [0.0, 0.0, 2.0]\n[arm]\nvelocity_scaling = 1.0\nacceleration_scaling = 1.0\n",
     );
     for (i, [x, y, z]) in boxes.iter().enumerate() {
         scene += &format!(

@@ -174,23 +174,27 @@ impl Desk {
     }
 
     fn told(&self) -> Vec<&str> {
-        let text = |event| match event {
-            &SessionEvent::Wearer { ref text, .. } => Some(text.as_str()),
-            _ => None,
-        };
-        self.events.iter().filter_map(text).collect()
+        self.events
+            .iter()
+            .filter_map(|event| match event {
+                SessionEvent::Wearer { text, .. } => Some(text.as_str()),
+                _ => None,
+            })
+            .collect()
     }
 
     /// What came of the gestures since this event.
     fn gestures(&self, since: usize) -> Vec<(&str, &GestureOutcome)> {
-        let gesture = |event| match event {
-            &SessionEvent::Bridge(ref event) => match &event.kind {
-                EventKind::Gesture { label, outcome, .. } => Some((label.as_str(), outcome)),
+        self.events[since..]
+            .iter()
+            .filter_map(|event| match event {
+                SessionEvent::Bridge(event) => match &event.kind {
+                    EventKind::Gesture { label, outcome, .. } => Some((label.as_str(), outcome)),
+                    _ => None,
+                },
                 _ => None,
-            },
-            _ => None,
-        };
-        self.events[since..].iter().filter_map(gesture).collect()
+            })
+            .collect()
     }
 }
 

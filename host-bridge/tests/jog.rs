@@ -105,7 +105,7 @@ fn the_clutch_lends_the_left_hand_after_neutral_and_tilts_move_the_tool_while_th
     wearer.hold(0, 0, 1000);
     let way = wearer.flange().position_m - forward.position_m;
     assert!((0.04..0.08).contains(&way.y) && way.x.abs() < 0.005 && way.z.abs() < 0.005, "{way}");
-    let turned = DVec3::from((wearer.flange().rotation * before.rotation.transpose()) * DVec3::X);
+    let turned = (wearer.flange().rotation * before.rotation.transpose()) * DVec3::X;
     assert!((turned - DVec3::X).length() < 0.02, "the tool keeps its orientation");
     assert_eq!(wearer.rig.robot.odometry().path_m, driven_m, "the base stood still");
     assert!(wearer.arm_rests() && wearer.rig.robot.picture().jog_held.is_none());

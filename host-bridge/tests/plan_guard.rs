@@ -16,7 +16,7 @@ mod moving;
 use moving::{Robot, Virtual as _, pose};
 
 fn in_scene(text: &str, arm_start_rad: Joints) -> (Robot, Planner) {
-    let text = format!("[[pose]]\nname = \"ready\"\njoints_rad = {arm_start_rad:?}\n{text}");
+    let text = format!("[[pose]]\nname = \"ready\"\njoints_rad = {:?}\n{text}", &arm_start_rad[..7]);
     let planner = Planner::new(SerialArm::gen3(), Scene::parse(&text).unwrap()).unwrap();
     (moving::in_scene(planner.clone()), planner)
 }

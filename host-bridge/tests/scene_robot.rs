@@ -11,7 +11,7 @@ use host_bridge::engine::Engine;
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::{SessionEvent, Snapshot};
 use host_bridge::plan::Planner;
-use host_bridge::robot::{Joints, Robot as _};
+use host_bridge::robot::{Joints, Robot as _, joints};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::{ArmInterface, Output, Ros2Config, RosRobot};
 use host_bridge::scene::Scene;
@@ -143,7 +143,7 @@ fn the_plan_that_is_sent_is_the_scenes_around_its_boxes_to_its_pose_at_its_speed
     let limits = planner.limits().velocity_rad_s;
     let around = planner.world().around(host_bridge::plan::Placement::default());
     for point in &goal.points {
-        let joints: Joints = point.positions.clone().try_into().unwrap();
+        let joints = joints::<7>(point.positions.clone().try_into().unwrap());
         assert!(around.arm_clearance(&joints).distance_m > 0.004, "at {:?}", point.time_from_start);
         for (speed, limit) in point.velocities.iter().zip(limits) {
             assert!(speed.abs() <= limit * (1.0 + 1e-9));

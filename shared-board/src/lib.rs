@@ -55,6 +55,7 @@ extern crate std;
 pub mod bonds;
 pub mod calibration_store;
 pub mod faults;
+pub mod guard;
 pub mod hand;
 pub mod left;
 #[cfg(any(test, feature = "host"))]

@@ -40,7 +40,7 @@ async def page(url):
             t, message = time.time(), json.loads(frame)
             if "frame" not in message:
                 continue
-            angles = message["state"]["arm"]["joints_rad"]
+            angles = message["state"]["arm"]["joints_rad"][:7]
             # NaN, which stands for unknown, becomes null in JSON.
             if None not in angles:
                 say("page", t, angles)

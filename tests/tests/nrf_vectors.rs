@@ -34,3 +34,17 @@ fn every_used_vector_of_the_image_behind_s140_is_handled() {
     used.extend([(6, "GPIOTE"), (22, "SWI2_EGU2")]);
     check(&image(Variant::Ble), &used, 0x27000);
 }
+
+#[test]
+fn every_used_vector_of_the_image_with_bluetooth_linked_in_is_handled() {
+    let mut used = USED.to_vec();
+    used.extend([
+        (0, "CLOCK_POWER"),
+        (1, "RADIO"),
+        (6, "GPIOTE"),
+        (8, "TIMER0"),
+        (11, "RTC0"),
+        (20, "EGU0_SWI0"),
+    ]);
+    check(&image(Variant::Trouble), &used, 0x10000);
+}

@@ -48,7 +48,7 @@ pub fn has_arms() -> bool {
     works(&target_dir().join(ARMS).join("bin/python"))
 }
 
-fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
+fn made(name: &str, requirements: &[&'static str]) -> Result<PathBuf> {
     let place = target_dir().join(name);
     let python = place.join("bin/python");
     let mut wanted = String::new();
@@ -74,7 +74,7 @@ fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
         "--disable-pip-version-check",
         "--no-compile",
     ]);
-    for file in requirements {
+    for &file in requirements {
         pip.args(["-r", file]);
     }
     sh(&mut pip)?;

@@ -4,10 +4,10 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use crate::card::Card;
-use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
 /// Number of rows in a model's memory.
+#[cfg(feature = "train")]
 const MEMORY_ROWS: usize = 4096;
 
 /// Inputs from a model's training people, with the same number of rows for each label.
@@ -25,8 +25,9 @@ pub struct MemoryError(String);
 const MAGIC: &[u8; 8] = b"BIMANMEM";
 
 impl Memory {
+    #[cfg(feature = "train")]
     pub(super) fn new(rows: &[(Vec<f32>, usize)], labels: usize, limit: f32, seed: u64) -> Self {
-        let mut rng = RandomStream::Memory.of(seed);
+        let mut rng = crate::streams::RandomStream::Memory.of(seed);
         let chosen = balanced(rows.iter().map(|(_, label)| *label), labels, MEMORY_ROWS, &mut rng);
         let int8 = |value: &f32| (value / limit * 127.0).round().clamp(-127.0, 127.0) as i8;
         let row = |index: usize| (rows[index].0.iter().map(int8).collect(), rows[index].1 as u8);

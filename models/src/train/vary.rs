@@ -18,6 +18,7 @@ use crate::evaluate::events::{POSTURE, posture};
 use crate::labels::OTHER;
 
 /// The description of this variation on the card.
+#[cfg(feature = "train")]
 pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 (gestures with a gyroscope 0.45 to 2.2) and uneven, shift ±0.2 s, or ±0.6 s with the \
      hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle 0.5 to 1.35), sensor turned at will about \
      gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s², clipped at 2 or 4 g";

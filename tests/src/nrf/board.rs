@@ -6,6 +6,7 @@
 mod exceptions;
 mod hooks;
 mod measure;
+mod radio;
 
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
@@ -13,7 +14,6 @@ pub use measure::{Call, Tapped};
 use measure::{Open, PAINT, PAINTED};
 
 use super::bmi270::Bmi270;
-use super::controller::Controller;
 use super::i2c::Sensor;
 use super::image::Image;
 use super::lsm6ds3::Lsm6ds3;
@@ -463,42 +463,6 @@ impl Board {
     /// Panics if the image does not use S140.
     pub fn softdevice(&mut self) -> &mut SoftDevice {
         self.soc().softdevice.as_mut().expect("the image runs behind S140")
-    }
-
-    /// Answers Nordic's controller, which the image has inside, from outside.
-    pub fn answer_controller(&mut self, controller: Controller) {
-        let world = self.uc.get_data_mut();
-        for address in controller.addresses() {
-            world.blocks[address as usize / 2] = ANSWERED;
-        }
-        world.soc.controller = Some(Box::new(controller));
-        world.soc.settle();
-    }
-
-    /// Nordic's controller inside the image.
-    ///
-    /// # Panics
-    /// If it is not [answered](Self::answer_controller).
-    pub fn controller(&mut self) -> &mut Controller {
-        self.soc().controller.as_mut().expect("the image has a controller")
-    }
-
-    /// Whether Nordic's controller inside the image has a connection.
-    pub fn is_connected(&self) -> bool {
-        self.uc.get_data().soc.controller.as_ref().is_some_and(|controller| controller.is_connected())
-    }
-
-    /// Tells bumble's laptop to do something; the number under which its outcome will stand in the air's log.
-    ///
-    /// # Panics
-    /// As [`Self::controller`].
-    pub fn order(&mut self, order: serde_json::Value) -> u64 {
-        let soc = self.soc();
-        let mut controller = soc.controller.take().expect("the image has a controller");
-        let number = controller.order(order, soc);
-        soc.controller = Some(controller);
-        soc.settle();
-        number
     }
 
     /// Runs for this many milliseconds of virtual time.

@@ -138,7 +138,9 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     let joints: Vec<String> = (1..=7).map(|joint| format!("joint_{joint}")).collect();
     assert_eq!(goal["joints"], json!(joints));
     let points = goal["points"].as_array().expect("points");
-    let near = |point: &Value, pose: [f64; 7]| (0..7).all(|j| (number(&point[1][j]) - pose[j]).abs() < 0.05);
+    let near = |point: &Value, pose: host_bridge::robot::Joints| {
+        (0..7).all(|j| (number(&point[1][j]) - pose[j]).abs() < 0.05)
+    };
     let last = &points[points.len() - 1];
     assert!(
         (1..=8).filter_map(|i| Motions::paper().pose(&format!("top-{i}"))).any(|pose| near(last, pose)),

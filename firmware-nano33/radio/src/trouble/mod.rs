@@ -5,6 +5,7 @@
 
 mod bonds;
 mod flash;
+mod guard;
 mod link;
 mod power;
 
@@ -54,7 +55,7 @@ bind_interrupts!(struct Irqs {
     RTC0 => nrf_mpsl::HighPrioInterruptHandler;
 });
 
-type Controller = SoftdeviceController<'static>;
+type Controller = guard::Guarded<SoftdeviceController<'static>>;
 type Stack = trouble_host::Stack<'static, Controller, DefaultPacketPool>;
 
 /// One laptop, no channels of its own, one advertisement, and a place more for keys than are kept: a new laptop pairs before an old
@@ -141,7 +142,7 @@ impl Radio {
             Err(_) => defmt::panic!("the controller wants other memory"),
         };
         let stack = &*STACK.init(
-            trouble_host::new(controller, RESOURCES.init(Resources::new()))
+            trouble_host::new(guard::Guarded::new(controller), RESOURCES.init(Resources::new()))
                 .set_random_address(address())
                 .set_io_capabilities(IoCapabilities::NoInputNoOutput)
                 .build(),
@@ -165,7 +166,7 @@ fn build(
     parts: Wiring<'static>,
     random: &'static mut Rng<'static, Blocking>,
     memory: &'static mut nrf_sdc::Mem<CONTROLLER_BYTES>,
-) -> Result<Controller, nrf_sdc::Error> {
+) -> Result<SoftdeviceController<'static>, nrf_sdc::Error> {
     nrf_sdc::Builder::new()?
         .support_adv()
         .support_peripheral()

@@ -244,15 +244,15 @@ mod tests {
             let mut here = Motion::at_rest(HOME);
             for _ in 0..200 {
                 let next = acceleration(&here, &goal, 0.02, &limits);
-                for i in 0..JOINTS {
-                    assert!(next[i].abs() <= limits.acceleration_rad_s2[i] * (1.0 + 1e-9));
-                    let step = (next[i] - here.acceleration_rad_s2[i]).abs();
+                for (i, next) in next.iter().enumerate() {
+                    assert!(next.abs() <= limits.acceleration_rad_s2[i] * (1.0 + 1e-9));
+                    let step = (next - here.acceleration_rad_s2[i]).abs();
                     assert!(step <= limits.jerk_rad_s3[i] * 0.02 * (1.0 + 1e-9));
                     // A constant jerk from the one to the other, or at once.
                     let mean = if limits.jerk_rad_s3[i].is_finite() {
-                        0.5 * (next[i] + here.acceleration_rad_s2[i])
+                        0.5 * (next + here.acceleration_rad_s2[i])
                     } else {
-                        next[i]
+                        *next
                     };
                     here.velocity_rad_s[i] += 0.02 * mean;
                 }

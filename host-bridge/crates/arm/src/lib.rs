@@ -1,6 +1,6 @@
 //! The arm: its model, its planner and its director.
 //!
-//! * [`model`], [`gen3`], `urdf`, `hull`: joints, limits, shapes and forward kinematics,
+//! * [`model`], [`gen3`], [`solid`], `urdf`: joints, limits, shapes and forward kinematics,
 //! * [`ik`]: from a place of the flange to joint angles,
 //! * [`scene`], [`plan`]: what stands around, and motions that touch nothing,
 //! * [`tool`], [`things`]: what is on the flange, and what it can grip,
@@ -10,7 +10,7 @@
 pub mod director;
 pub mod gen3;
 #[cfg(feature = "urdf")]
-pub mod hull;
+mod hull;
 pub mod ik;
 pub mod jog;
 #[cfg(feature = "urdf")]

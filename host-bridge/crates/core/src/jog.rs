@@ -69,7 +69,10 @@ impl Lift {
             (0, 0) => return,
             (index, 0) => (index, true),
             (0, middle) => (middle, false),
-            _ => return *self = Lift::default(),
+            _ => {
+                *self = Lift::default();
+                return;
+            }
         };
         let runs = now_ms < self.until_ms;
         if runs && up != self.up {

@@ -74,4 +74,27 @@ impl Board {
     pub fn tapped(&self, tap: usize) -> &[Tapped] {
         &self.uc.get_data().tapped[tap]
     }
+
+    /// Notes from now on where the image panics.
+    pub fn tap_panics(&mut self) -> Option<usize> {
+        let handler = self.image.functions_with(&["rust_begin_unwind"]).pop()?;
+        Some(self.tap(&handler, 8))
+    }
+
+    /// The places in the source at which the image has panicked.
+    pub fn panics(&self, tap: usize) -> Vec<String> {
+        let text = |place: u32| -> Option<String> {
+            let (start, len) = (self.image.word(place)?, self.image.word(place + 4)?);
+            let line = self.image.word(place + 8)?;
+            let bytes: Vec<u8> = (start..start.checked_add(len)?)
+                .map_while(|at| Some(self.image.word(at & !3)?.to_le_bytes()[at as usize & 3]))
+                .collect();
+            Some(format!("{}:{line}", String::from_utf8(bytes).ok()?))
+        };
+        let place = |call: &Tapped| {
+            let words = call.bytes.chunks_exact(4).map(|w| u32::from_le_bytes([w[0], w[1], w[2], w[3]]));
+            words.filter(|word| word & 3 == 0).find_map(text).unwrap_or_else(|| "nowhere known".into())
+        };
+        self.tapped(tap).iter().map(place).collect()
+    }
 }

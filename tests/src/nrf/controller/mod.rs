@@ -12,19 +12,19 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
 
 mod air;
+mod answers;
 mod commands;
 mod link;
+mod mpsl;
 mod slots;
 
 use super::memory::FLASH_BYTES;
 use super::nvic::Nvic;
 use super::soc::Soc;
-use super::time::us;
 pub use air::Air;
 use air::Ask;
-use commands::{Command, Length, Who};
-use link::{LONG, Link, SHORT};
-use slots::{Request, Slot};
+use link::{Link, SHORT};
+use slots::Slot;
 
 /// Cycles of a call into the libraries; a guess, since nothing of them runs here.
 pub(super) const CALL_CYCLES: u64 = 300;
@@ -308,189 +308,6 @@ impl Controller {
             _ => {
                 self.broken.push(format!("`{name}` is not modelled"));
                 EPERM
-            }
-        }
-    }
-
-    fn mpsl(&mut self, name: &str, args: [u32; 4], soc: &mut Soc) -> i32 {
-        match name {
-            "mpsl_init" => {
-                let irq = args[1] as usize;
-                self.low_priority = Some(irq);
-                let irqs = [irq, CLOCK_POWER, RADIO, TIMER0, RTC0];
-                soc.write(0xE000_E100, irqs.iter().fold(0, |bits, irq| bits | 1 << irq), 4);
-                let [source] = load(soc, args[0]);
-                soc.write(0x4000_0518, source.into(), 4);
-                soc.write(0x4000_0008, 1, 4);
-                0
-            }
-            "mpsl_uninit" | "MPSL_IRQ_RADIO_Handler" | "MPSL_IRQ_RTC0_Handler" => 0,
-            "MPSL_IRQ_CLOCK_Handler" => {
-                soc.write(0x4000_0100, 0, 4);
-                soc.write(0x4000_0104, 0, 4);
-                0
-            }
-            "mpsl_clock_hfclk_src_request" | "mpsl_clock_hfclk_request" => {
-                let call_back = if name == "mpsl_clock_hfclk_request" { args[0] } else { args[1] };
-                self.clock_wanted = Some(call_back);
-                soc.write(0x4000_0000, 1, 4);
-                0
-            }
-            "mpsl_clock_hfclk_src_release" | "mpsl_clock_hfclk_release" => {
-                soc.write(0x4000_0004, 1, 4);
-                0
-            }
-            "mpsl_clock_hfclk_src_is_running" | "mpsl_clock_hfclk_is_running" => {
-                let place = if name == "mpsl_clock_hfclk_is_running" { args[0] } else { args[1] };
-                let is_running = u32::from(soc.power.crystal);
-                store(soc, place, &is_running.to_le_bytes());
-                0
-            }
-            "mpsl_is_initialized" => i32::from(self.low_priority.is_some()),
-            // 25.00 degrees in units of a quarter.
-            "mpsl_temperature_get" => 100,
-            "mpsl_timeslot_session_count_set" => 0,
-            "mpsl_timeslot_session_open" => {
-                if self.session.is_some() {
-                    return ENOMEM;
-                }
-                self.session = Some(args[0]);
-                store(soc, args[1], &[0]);
-                0
-            }
-            "mpsl_timeslot_session_close" => match self.session.take() {
-                Some(call_back) => {
-                    self.slot = Slot::None;
-                    self.low.push_back((call_back, [0, 9]));
-                    self.pend_low(&mut soc.nvic);
-                    0
-                }
-                None => EAGAIN,
-            },
-            "mpsl_timeslot_request" => {
-                self.plan(args[1], soc);
-                0
-            }
-            _ => {
-                self.broken.push(format!("`{name}` is not modelled"));
-                EPERM
-            }
-        }
-    }
-
-    /// The request that lies there.
-    fn plan(&mut self, at: u32, soc: &Soc) {
-        let ([kind], [priority]) = (load(soc, at), load(soc, at + 5));
-        if kind != 0 {
-            self.broken.push(format!("time slots of kind {kind} are not modelled"));
-        }
-        let word = |at: u32| u64::from(u32::from_le_bytes(load(soc, at)));
-        let request = Request { length: us(word(at + 8)), high: priority == 0, timeout: us(word(at + 12)) };
-        self.slot = Slot::plan(request, self.link.as_ref(), soc.now);
-    }
-
-    /// The image's part of a slot has returned this place of its wishes.
-    fn slot_returned(&mut self, wishes: u32, soc: &mut Soc) {
-        if let Slot::Running { until } = self.slot
-            && soc.now > until
-        {
-            self.broken.push(format!("a time slot was overstayed by {} us", (soc.now - until) / us(1)));
-        }
-        self.slot = Slot::None;
-        match load(soc, wishes) {
-            [2] => {
-                if let Some(call_back) = self.session {
-                    self.low.push_back((call_back, [0, 7]));
-                    self.pend_low(&mut soc.nvic);
-                }
-            }
-            [3] => self.plan(u32::from_le_bytes(load(soc, wishes + 4)), soc),
-            [action] => self.broken.push(format!("action {action} after a time slot is not modelled")),
-        }
-    }
-
-    fn command(&mut self, name: &str, args: [u32; 4], soc: &mut Soc) -> u32 {
-        let Some(command) = commands::find(name) else {
-            self.broken.push(format!("`{name}` is not modelled"));
-            return UNKNOWN_COMMAND.into();
-        };
-        let length = match command.arguments {
-            Length::Fixed(length) => length,
-            Length::Counted { fixed, count, each } => {
-                let [counted] = load(soc, args[0] + count as u32);
-                fixed + usize::from(counted) * each
-            }
-        };
-        let arguments = bytes(soc, args[0], length);
-        let out = if length == 0 { args[0] } else { args[1] };
-        let (status, returned) = match command.who {
-            Who::Here => self.answer_here(name, &arguments, soc),
-            Who::Bumble => self.ask_bumble(name, command, &arguments, soc),
-        };
-        if command.returns > 0 {
-            let mut returned = returned;
-            returned.resize(command.returns, 0);
-            store(soc, out, &returned);
-        }
-        status.into()
-    }
-
-    fn ask_bumble(&mut self, name: &str, command: Command, arguments: &[u8], soc: &mut Soc) -> (u8, Vec<u8>) {
-        let mut packet = vec![1];
-        packet.extend(command.opcode.to_le_bytes());
-        packet.push(arguments.len() as u8);
-        packet.extend(arguments);
-        self.answer = None;
-        self.send(&packet, soc);
-        match self.answer.take() {
-            Some(answer) if answer[0] != UNKNOWN_COMMAND => (answer[0], answer[1..].to_vec()),
-            other => {
-                self.broken.push(format!("bumble answers `{name}` with {other:?}"));
-                (UNKNOWN_COMMAND, Vec::new())
-            }
-        }
-    }
-
-    fn answer_here(&mut self, name: &str, arguments: &[u8], soc: &mut Soc) -> (u8, Vec<u8>) {
-        let handle = arguments.get(..2).unwrap_or(&[0; 2]).to_vec();
-        match name.trim_start_matches("sdc_hci_cmd_") {
-            "le_read_buffer_size" => {
-                let ([size, _], [count, _]) = self.buffers;
-                (0, [&size.to_le_bytes()[..], &[count]].concat())
-            }
-            "le_read_max_data_length" => {
-                let [sent, received] = self.buffers.0.map(u16::to_le_bytes);
-                let time = 2120u16.to_le_bytes();
-                (0, [sent, time, received, time].concat())
-            }
-            "le_set_data_length" => {
-                let asked = u16::from_le_bytes([arguments[2], arguments[3]]);
-                if let Some(link) = &mut self.link {
-                    link.octets = asked.clamp(SHORT, LONG).min(self.buffers.0[0]);
-                    let (octets, time) = (link.octets.to_le_bytes(), 2120u16.to_le_bytes());
-                    let mut event = vec![EVENT, LE_META, 11, 7];
-                    event.extend(handle.iter().chain(&octets).chain(&time).chain(&octets).chain(&time));
-                    link.down.push_back(event);
-                }
-                (0, handle)
-            }
-            "le_set_phy" => {
-                let fast = arguments[3] & 2 != 0;
-                if let Some(link) = &mut self.link {
-                    link.fast = fast;
-                    let phy = if fast { 2 } else { 1 };
-                    link.down.push_back(vec![EVENT, LE_META, 6, 12, 0, handle[0], handle[1], phy, phy]);
-                }
-                (0, Vec::new())
-            }
-            "le_read_phy" => {
-                let phy = if self.link.as_ref().is_some_and(|link| link.fast) { 2 } else { 1 };
-                (0, [&handle[..], &[phy, phy]].concat())
-            }
-            "sp_read_rssi" => (0, [&handle[..], &[-60i8 as u8]].concat()),
-            _ => {
-                let _ = soc;
-                (0, Vec::new())
             }
         }
     }

@@ -151,7 +151,10 @@ impl World {
                 *angle = random.between(low, high);
             }
             let shapes = self.shapes(&joints_rad, &on_flange);
-            always.retain(|&(one, two)| World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0);
+            always.retain(|&(one, two)| {
+                World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0
+                    && !self.are_apart(&joints_rad, one, two)
+            });
         }
         if always.is_empty() {
             return;

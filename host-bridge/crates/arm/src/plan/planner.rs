@@ -328,7 +328,7 @@ impl Planner {
                 break;
             }
             let purse = Purse::of(left);
-            let other = self.plan_among(from_rad, to_rad, Case { purse: &purse, ..case }, turn ^ k << 32);
+            let other = self.plan_among(from_rad, to_rad, Case { purse: &purse, ..case }, turn ^ (k << 32));
             case.purse.spend(purse.spent());
             dearest = dearest.max(purse.spent());
             if let Ok(other) = other

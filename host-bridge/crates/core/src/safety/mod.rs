@@ -8,7 +8,7 @@
 //! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`]. Older samples never move the robot.
 //! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
 //! * **neutral**: a left hand within its dead zone, or a right hand whose best label is rest.
-//! Neutral counts only on a prompt link.
+//!   Neutral counts only on a prompt link.
 //! * **release**: the gesture that ends a stop. It is the gesture that moves the arm home: up-down.
 //!
 //! The machine is sans-IO: [`Safety::step`] takes an event and the time, and returns actions.

@@ -1,0 +1,106 @@
+//! The controller as the host gets it: what comes over the air passes [`shared_board::guard`] first.
+
+use core::cell::Cell;
+
+use bt_hci::ControllerToHostPacket;
+use bt_hci::cmd::{self, AsyncCmd, SyncCmd};
+use bt_hci::controller::{Controller, ControllerCmdAsync, ControllerCmdSync};
+use bt_hci::data::{AclPacket, AclPacketBoundary, IsoPacket, SyncPacket};
+use bt_hci::event::EventKind;
+use embedded_io::ErrorType;
+use shared_board::guard::Guard;
+
+/// A controller behind the guard. There is one link at a time.
+pub struct Guarded<C> {
+    controller: C,
+    guard: Cell<Guard>,
+}
+
+impl<C> Guarded<C> {
+    /// Puts the guard before it.
+    pub fn new(controller: C) -> Self {
+        Self { controller, guard: Cell::new(Guard::default()) }
+    }
+
+    fn passes(&self, packet: &ControllerToHostPacket<'_>) -> bool {
+        match packet {
+            ControllerToHostPacket::Acl(acl) => {
+                let mut guard = self.guard.get();
+                let starts = acl.boundary_flag() != AclPacketBoundary::Continuing;
+                let passes = guard.passes(starts, acl.data());
+                self.guard.set(guard);
+                passes
+            }
+            ControllerToHostPacket::Event(event) => {
+                if event.kind == EventKind::DisconnectionComplete {
+                    self.guard.set(Guard::default());
+                }
+                true
+            }
+            _ => true,
+        }
+    }
+}
+
+impl<C: ErrorType> ErrorType for Guarded<C> {
+    type Error = C::Error;
+}
+
+impl<C> Controller for Guarded<C>
+where
+    C: for<'b> Controller<Buffer<'b> = [u8; nrf_sdc::raw::HCI_MSG_BUFFER_MAX_SIZE as usize]>,
+{
+    type Buffer<'b> = [u8; nrf_sdc::raw::HCI_MSG_BUFFER_MAX_SIZE as usize];
+
+    fn alloc_buf(&self) -> Result<Self::Buffer<'_>, Self::Error> {
+        Ok([0; nrf_sdc::raw::HCI_MSG_BUFFER_MAX_SIZE as usize])
+    }
+
+    async fn write_acl_data(&self, packet: &AclPacket<'_>) -> Result<(), Self::Error> {
+        self.controller.write_acl_data(packet).await
+    }
+
+    async fn write_sync_data(&self, packet: &SyncPacket<'_>) -> Result<(), Self::Error> {
+        self.controller.write_sync_data(packet).await
+    }
+
+    async fn write_iso_data(&self, packet: &IsoPacket<'_>) -> Result<(), Self::Error> {
+        self.controller.write_iso_data(packet).await
+    }
+
+    async fn read<'a>(
+        &self,
+        buf: &'a mut Self::Buffer<'_>,
+    ) -> Result<ControllerToHostPacket<'a>, Self::Error> {
+        loop {
+            // SAFETY: what was read is given up before the buffer is used again.
+            let again = unsafe { &mut *core::ptr::from_mut(buf) };
+            let packet = self.controller.read(again).await?;
+            if self.passes(&packet) {
+                return Ok(packet);
+            }
+        }
+    }
+}
+
+impl<C, Q> ControllerCmdSync<Q> for Guarded<C>
+where
+    Self: Controller<Error = C::Error>,
+    C: ControllerCmdSync<Q>,
+    Q: SyncCmd + ?Sized,
+{
+    async fn exec(&self, cmd: &Q) -> Result<Q::Return, cmd::Error<Self::Error>> {
+        self.controller.exec(cmd).await
+    }
+}
+
+impl<C, Q> ControllerCmdAsync<Q> for Guarded<C>
+where
+    Self: Controller<Error = C::Error>,
+    C: ControllerCmdAsync<Q>,
+    Q: AsyncCmd + ?Sized,
+{
+    async fn exec(&self, cmd: &Q) -> Result<(), cmd::Error<Self::Error>> {
+        self.controller.exec(cmd).await
+    }
+}

@@ -1,0 +1,179 @@
+//! What a Bluetooth host may be given of what comes over the air.
+//!
+//! The host `trouble-host` 0.8 takes the lengths of requests for granted and panics at a short one, so that anybody in reach could
+//! restart the board, paired or not. This stands before it and lets through what is as long as the Core Specification says
+//! (volume 3: L2CAP in part A, ATT in part F, the security manager in part H), and what a board that only answers has use for.
+
+/// Bytes of L2CAP's header.
+const HEADER: usize = 4;
+/// Longest content: the largest MTU of the board.
+const LONGEST: usize = 247;
+
+const ATT: u16 = 4;
+const SIGNALLING: u16 = 5;
+const SECURITY: u16 = 6;
+
+/// Watches the fragments of one link.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Guard {
+    /// Bytes that are still to come of a packet whose beginning was let through.
+    left: usize,
+}
+
+impl Guard {
+    /// Another link begins.
+    pub fn reset(&mut self) {
+        self.left = 0;
+    }
+
+    /// Whether the host may have this fragment, which begins an L2CAP packet or goes on with one.
+    pub fn passes(&mut self, starts: bool, fragment: &[u8]) -> bool {
+        if !starts {
+            return match self.left.checked_sub(fragment.len()) {
+                Some(left) if !fragment.is_empty() => {
+                    self.left = left;
+                    true
+                }
+                _ => false,
+            };
+        }
+        // The host has the beginning of another packet, and would take this for its end or refuse all that follows.
+        if self.left > 0 {
+            return false;
+        }
+        let [l0, l1, c0, c1, ref content @ ..] = *fragment else { return false };
+        let length = usize::from(u16::from_le_bytes([l0, l1]));
+        let Some(left) = length.checked_sub(content.len()).filter(|_| length <= LONGEST) else {
+            return false;
+        };
+        let is_sound = match u16::from_le_bytes([c0, c1]) {
+            ATT => content.first().is_some_and(|&opcode| is_att(opcode, length)),
+            SIGNALLING => is_signal(content, length),
+            SECURITY => content.first().is_some_and(|&code| is_security(code, length)),
+            _ => false,
+        };
+        if is_sound {
+            self.left = left;
+        }
+        is_sound
+    }
+
+    /// Whether a packet has begun whose end is still to come.
+    pub fn is_waiting(&self) -> bool {
+        self.left > 0
+    }
+}
+
+/// Requests and commands; the board asks nothing, so that no answer is due to it. Others are refused by the host itself.
+fn is_att(opcode: u8, length: usize) -> bool {
+    match opcode {
+        0x02 | 0x0A => length == 3,
+        0x04 | 0x0C => length == 5,
+        0x06 => length >= 7,
+        // The host has no room for a group's long type.
+        0x10 => length == 7,
+        0x08 => length == 7 || length == 21,
+        0x0E => length >= 5 && length % 2 == 1,
+        0x12 | 0x52 => length >= 3,
+        0x16 => length >= 5,
+        0x18 => length == 2,
+        0x1E => length == 1,
+        _ => opcode.is_multiple_of(2),
+    }
+}
+
+/// A laptop's refusal, and its answer to a wish for other parameters.
+fn is_signal(content: &[u8], length: usize) -> bool {
+    let [code, _, l0, l1, ..] = *content else { return false };
+    let says = usize::from(u16::from_le_bytes([l0, l1]));
+    says + HEADER == length && (code == 0x01 && says >= 2 || code == 0x13 && says == 2)
+}
+
+fn is_security(code: u8, length: usize) -> bool {
+    let right = match code {
+        0x01 | 0x02 => 7,
+        0x03 | 0x04 | 0x06 | 0x08 | 0x0A | 0x0D => 17,
+        0x05 | 0x0B | 0x0E => 2,
+        0x07 => 11,
+        0x09 => 8,
+        0x0C => 65,
+        _ => return false,
+    };
+    length == right
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packet(channel: u16, content: &[u8]) -> std::vec::Vec<u8> {
+        let mut packet = std::vec::Vec::from((content.len() as u16).to_le_bytes());
+        packet.extend(channel.to_le_bytes());
+        packet.extend(content);
+        packet
+    }
+
+    fn passes(channel: u16, content: &[u8]) -> bool {
+        Guard::default().passes(true, &packet(channel, content))
+    }
+
+    #[test]
+    fn what_laptops_send_passes() {
+        for att in [
+            &[0x02, 5, 2][..],
+            &[0x04, 1, 0, 255, 255],
+            &[0x06, 1, 0, 255, 255, 0, 0x28, 1],
+            &[0x08, 1, 0, 255, 255, 3, 0x28],
+            &[0x0A, 3, 0],
+            &[0x10, 1, 0, 255, 255, 0, 0x28],
+            &[0x12, 10, 0, 1, 0],
+            &[0x52, 12, 0],
+            &[0x1E],
+        ] {
+            assert!(passes(ATT, att), "{att:?}");
+        }
+        assert!(passes(SIGNALLING, &[0x13, 1, 2, 0, 0, 0]));
+        assert!(passes(SECURITY, &[1, 3, 0, 13, 16, 1, 1]));
+        assert!(passes(SECURITY, &[0x0C; 65]));
+    }
+
+    #[test]
+    fn short_long_empty_and_unasked_for_ones_do_not() {
+        for att in [
+            &[][..],
+            &[0x02, 5],
+            &[0x06, 1],
+            &[0x0A],
+            &[0x12, 1],
+            &[0x52],
+            &[0x18],
+            &[0x01, 2, 3, 4, 5],
+            &[0x10, 1, 0, 255, 255, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
+        ] {
+            assert!(!passes(ATT, att), "{att:?}");
+        }
+        assert!(!passes(SIGNALLING, &[0x13, 1, 2, 0, 0]));
+        assert!(!passes(SIGNALLING, &[0x14, 1, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]));
+        assert!(!passes(SECURITY, &[0x0C; 64]));
+        assert!(!passes(0x40, &[1, 2, 3]));
+        assert!(!Guard::default().passes(true, &[3, 0, 4]));
+        // More content than the header says, and more than the board takes.
+        assert!(!Guard::default().passes(true, &[1, 0, 4, 0, 0x1E, 0x1E]));
+        assert!(!Guard::default().passes(true, &[248, 0, 4, 0, 0x52]));
+    }
+
+    #[test]
+    fn a_packet_in_pieces_passes_and_nothing_else_meanwhile() {
+        let whole = packet(ATT, &[0x52, 12, 0, 1, 2, 3, 4, 5, 6]);
+        let mut guard = Guard::default();
+        assert!(guard.passes(true, &whole[..6]) && guard.is_waiting());
+        assert!(!guard.passes(true, &whole), "another beginning");
+        assert!(guard.passes(false, &whole[6..9]));
+        assert!(!guard.passes(false, &[0; 20]), "too much");
+        assert!(guard.passes(false, &whole[9..]) && !guard.is_waiting());
+        assert!(!guard.passes(false, &[1]), "nothing has begun");
+        // A beginning that did not pass has no end that does.
+        assert!(!guard.passes(true, &[9, 0, 4, 0, 0x01]));
+        assert!(!guard.passes(false, &[0; 8]));
+    }
+}
