@@ -1,32 +1,33 @@
-//! What a Bluetooth host may be given of what comes over the air.
+//! Filters the packets that arrive over Bluetooth before the host stack receives them.
 //!
-//! The host `trouble-host` 0.8 takes the lengths of requests for granted and panics at a short one, so that anybody in reach could
-//! restart the board, paired or not. This stands before it and lets through what is as long as the Core Specification says
-//! (volume 3: L2CAP in part A, ATT in part F, the security manager in part H), and what a board that only answers has use for.
+//! The host stack `trouble-host` 0.8 does not check the lengths of requests, and panics at a short one.
+//! Without this filter, anybody in range could therefore restart the board, even without pairing.
+//! The filter accepts only packets that a board uses and whose length follows the Core Specification, volume 3.
+//! L2CAP is in part A, ATT is in part F, and the security manager is in part H.
 
-/// Bytes of L2CAP's header.
+/// Number of bytes in an L2CAP header.
 const HEADER: usize = 4;
-/// Longest content: the largest MTU of the board.
+/// Maximum length of the content, which is the largest MTU of the board.
 const LONGEST: usize = 247;
 
 const ATT: u16 = 4;
 const SIGNALLING: u16 = 5;
 const SECURITY: u16 = 6;
 
-/// Watches the fragments of one link.
+/// Checks the fragments that arrive on one link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Guard {
-    /// Bytes that are still to come of a packet whose beginning was let through.
+    /// Number of bytes that are still missing from a packet whose beginning was accepted.
     left: usize,
 }
 
 impl Guard {
-    /// Another link begins.
+    /// Resets the filter, because another link begins.
     pub fn reset(&mut self) {
         self.left = 0;
     }
 
-    /// Whether the host may have this fragment, which begins an L2CAP packet or goes on with one.
+    /// Returns whether the host stack may receive this fragment, which begins or continues an L2CAP packet.
     pub fn passes(&mut self, starts: bool, fragment: &[u8]) -> bool {
         if !starts {
             return match self.left.checked_sub(fragment.len()) {
@@ -37,7 +38,7 @@ impl Guard {
                 _ => false,
             };
         }
-        // The host has the beginning of another packet, and would take this for its end or refuse all that follows.
+        // The host stack has the beginning of another packet. It would mistake this fragment for its end, or refuse all others.
         if self.left > 0 {
             return false;
         }
@@ -58,19 +59,19 @@ impl Guard {
         is_sound
     }
 
-    /// Whether a packet has begun whose end is still to come.
+    /// Returns whether a packet has begun but not ended.
     pub fn is_waiting(&self) -> bool {
         self.left > 0
     }
 }
 
-/// Requests and commands; the board asks nothing, so that no answer is due to it. Others are refused by the host itself.
+/// Requests and commands. The board sends no requests, so it expects no answers. The host stack refuses other packets itself.
 fn is_att(opcode: u8, length: usize) -> bool {
     match opcode {
         0x02 | 0x0A => length == 3,
         0x04 | 0x0C => length == 5,
         0x06 => length >= 7,
-        // The host has no room for a group's long type.
+        // The host stack has no room for the long type of a group.
         0x10 => length == 7,
         0x08 => length == 7 || length == 21,
         0x0E => length >= 5 && length % 2 == 1,
@@ -82,7 +83,7 @@ fn is_att(opcode: u8, length: usize) -> bool {
     }
 }
 
-/// A laptop's refusal, and its answer to a wish for other parameters.
+/// A laptop's refusal, and its answer to a request for other parameters.
 fn is_signal(content: &[u8], length: usize) -> bool {
     let [code, _, l0, l1, ..] = *content else { return false };
     let says = usize::from(u16::from_le_bytes([l0, l1]));
@@ -157,7 +158,7 @@ mod tests {
         assert!(!passes(SECURITY, &[0x0C; 64]));
         assert!(!passes(0x40, &[1, 2, 3]));
         assert!(!Guard::default().passes(true, &[3, 0, 4]));
-        // More content than the header says, and more than the board takes.
+        // The content is longer than the header states, and longer than the board accepts.
         assert!(!Guard::default().passes(true, &[1, 0, 4, 0, 0x1E, 0x1E]));
         assert!(!Guard::default().passes(true, &[248, 0, 4, 0, 0x52]));
     }
@@ -172,7 +173,7 @@ mod tests {
         assert!(!guard.passes(false, &[0; 20]), "too much");
         assert!(guard.passes(false, &whole[9..]) && !guard.is_waiting());
         assert!(!guard.passes(false, &[1]), "nothing has begun");
-        // A beginning that did not pass has no end that does.
+        // If the beginning of a packet was rejected, its end must be rejected too.
         assert!(!guard.passes(true, &[9, 0, 4, 0, 0x01]));
         assert!(!guard.passes(false, &[0; 8]));
     }

@@ -407,7 +407,7 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Two arms where the judges' packages are at hand, five and the Gen3 with what is on its flange under `--full`.
+/// Tests two arms if the packages for these checks are installed. With `--full`, tests five arms and a Gen3 with tools.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
@@ -423,7 +423,7 @@ fn arms() -> Result<()> {
     if !is_full() {
         return sh(check.args(["6", "panda", "so101"]));
     }
-    // Of the others in its list tests/arms/check.py tells, when it is asked for them, what they touch or why they do not plan.
+    // For the other arms in its list, tests/arms/check.py reports what they touch, or why no plan exists, if it is asked.
     sh(check.args(["30", "panda", "xarm7", "so100", "so101", "z1"]))?;
     sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
     let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
