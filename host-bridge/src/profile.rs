@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn keys_and_values_that_make_no_sense_are_named() {
         let told = |text: &str| merged(&Ros2Config::default(), &toml::from_str(text).unwrap()).unwrap_err();
-        assert!(told("arm_controler = \"arm\"").contains("'arm_controler'"));
+        assert!(told("arm_controllers = \"arm\"").contains("'arm_controllers'"));
         assert!(told("rate_hz = \"fast\"").contains("[ros2]"));
         assert!(told("joint_names = []").contains("eight"));
     }
