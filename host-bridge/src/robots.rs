@@ -92,6 +92,9 @@ pub struct Echoed<R> {
 }
 
 impl<R: Robot> Robot for Echoed<R> {
+    fn hear(&mut self, now_ms: u64) {
+        self.graph.hear(now_ms);
+    }
     fn step(&mut self, now_ms: u64) {
         self.simulator.step(now_ms);
         self.graph.step(now_ms);

@@ -6,7 +6,7 @@ mod support;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::bridge::{EventKind, GestureOutcome};
 use host_bridge::config::Config;
-use host_bridge::plan::{Placement, Planner};
+use host_bridge::plan::{Placement, Planner, World};
 use host_bridge::robot::{DVec3, Door as _, JOINTS, JointLimits, Joints, Leg, Pose, Random, Robot as _};
 use host_bridge::safety::{Hand, State};
 use host_bridge::scene::Scene;
@@ -146,7 +146,7 @@ fn whatever_holds_a_hand_or_the_robot_back_brakes_the_arm_within_its_limits_and_
     type Step = fn(&mut Wearer);
     let nothing: Step = |_| {};
     // What begins, what ends, how long it takes to be noticed, and whether the hand is still lent then.
-    let faults: [(&str, Step, Step, u64, bool); 9] = [
+    let faults: [(&str, Step, Step, u64, bool); 11] = [
         ("the right hand does not rest", |w| w.rig.right.top = 2, |w| w.rig.right.top = 0, 0, true),
         ("the left hand is silent", |w| w.rig.talking.left = false, |w| w.rig.talking.left = true, 250, true),
         (
@@ -166,8 +166,10 @@ fn whatever_holds_a_hand_or_the_robot_back_brakes_the_arm_within_its_limits_and_
             |w| w.rig.bridge.robot_refuses(Some("e-stop".into()), w.rig.now_ms, &mut w.rig.robot),
             |w| w.rig.bridge.robot_refuses(None, w.rig.now_ms, &mut w.rig.robot),
             0,
-            false,
+            true,
         ),
+        ("the right hand starts anew", |w| w.rig.connect(Hand::Right, 2), nothing, 0, true),
+        ("the left hand starts anew", |w| w.rig.connect(Hand::Left, 2), nothing, 0, true),
     ];
     for (what, begins, ends, noticed_ms, stays_lent) in faults {
         let mut wearer = Wearer::jogging();
@@ -409,4 +411,56 @@ fn hands_at_random_jog_in_a_scene_within_all_limits_and_touch_nothing() {
     assert!(
         u64::from(moved_ms) > seconds * 150 && nearest_m < 0.02 && path_m > 0.02 * seconds as f64 && held > 0
     );
+}
+
+#[test]
+fn without_a_scene_a_hand_cannot_move_the_arm_into_the_robot_itself_or_the_floor_and_is_told_seldom() {
+    let world = World::new(SerialArm::gen3(), Scene::default());
+    let around = world.around(Placement::default());
+    let mut held_by = Vec::new();
+    // First out of the way, and then down, and back towards the robot.
+    for (first, then) in [
+        ([0, 698], [0, 0]),
+        ([0, 698], [-300, 0]),
+        ([0, 698], [-300, -300]),
+        ([0, 698], [0, -300]),
+        ([0, -698], [0, 0]),
+        ([0, -698], [-500, 0]),
+        ([0, -698], [0, 500]),
+    ] {
+        let mut wearer = Wearer::before(support::bare(), "speed_m_s = 0.2\nlift_m_s = 0.2\nbend_ms = 1000\n");
+        wearer.clutch();
+        wearer.hold(0, 0, 300);
+        wearer.rig.events.clear();
+        let (mut nearest_m, mut held_ms) = (f64::INFINITY, 0_u64);
+        for k in 0..2500 {
+            let [pitch_mrad, roll_mrad] = if k < 150 { first } else { then };
+            if k > 150 && k % 50 == 0 {
+                wearer.rig.left.middle_bends = wearer.rig.left.middle_bends.wrapping_add(1);
+            }
+            wearer.hold(pitch_mrad, roll_mrad, 20);
+            let picture = wearer.rig.robot.picture();
+            nearest_m = nearest_m.min(around.arm_clearance(&picture.arm.joints_rad).distance_m);
+            held_ms += if picture.jog_held.is_some() { 20 } else { 0 };
+        }
+        let notes: Vec<&String> = wearer
+            .rig
+            .events
+            .iter()
+            .filter_map(|event| match event {
+                EventKind::Robot { text } if text.contains("the tool is held") => Some(text),
+                _ => None,
+            })
+            .collect();
+        println!(
+            "{:.1} mm, held for {held_ms} ms, at {:.2}: {notes:?}",
+            1000.0 * nearest_m,
+            wearer.flange().position_m
+        );
+        assert!(nearest_m > 0.001, "{nearest_m}");
+        assert!(notes.len() <= 50, "one a second at most: {}", notes.len());
+        held_by.extend(notes.into_iter().cloned());
+    }
+    // Not by joints' limits alone.
+    assert!(held_by.iter().any(|text| text.contains(" m from ")), "{held_by:?}");
 }

@@ -21,7 +21,7 @@ use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::SessionEvent;
-use host_bridge::robot::Door as _;
+use host_bridge::robot::{Door as _, Leg};
 use host_bridge::safety::Hand;
 use host_bridge::session::Session;
 use host_bridge::topics::Origin;
@@ -242,18 +242,19 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
     let keys = HandInput::Keyboard;
     let mut live = moving::live_before(door, &setup.config, keys, keys, 80);
     live.tap_mut().add(Box::new(recorder));
+    let mut planned_ms = None;
     for now_ms in (80..9_000).step_by(2) {
-        match now_ms {
-            2_000 => live.press(HandKey::Gesture(2), now_ms),
+        if now_ms == 2_000 {
+            live.press(HandKey::Gesture(2), now_ms);
+        }
+        if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
             // The thread gets its time; here the session stands still for it.
-            5_000 => {
-                let began = Instant::now();
-                while !live.door().plan_is_ready() && live.door().arm().at_rest() {
-                    assert!(began.elapsed() < Duration::from_secs(240));
-                    std::thread::sleep(Duration::from_millis(1));
-                }
+            let since_ms = *planned_ms.get_or_insert(now_ms);
+            let began = Instant::now();
+            while now_ms == since_ms + 500 && !live.door().plan_is_ready() {
+                assert!(began.elapsed() < Duration::from_secs(240));
+                std::thread::sleep(Duration::from_millis(1));
             }
-            _ => {}
         }
         live.advance(now_ms, [true; 2]);
     }

@@ -8,8 +8,11 @@ use std::time::{Duration, Instant};
 use host_bridge::arm::Director;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::bridge::{EventKind, GestureOutcome};
+use host_bridge::config::{Config, HandInput};
+use host_bridge::keyboard::HandKey;
 use host_bridge::plan::Planner;
-use host_bridge::robot::{Door as _, Leg, MotionName, NotStarted, Report, Twist};
+use host_bridge::robot::{Door as _, Grip, Leg, MotionName, NotStarted, Report, Robot as _, Twist};
+use host_bridge::safety::State;
 use host_bridge::scene::Scene;
 use host_bridge::sim::Simulator;
 use support::{Rig, Virtual as _, moving};
@@ -126,4 +129,104 @@ fn a_motion_without_a_way_is_refused_with_its_reason_when_that_is_known() {
     println!("{reason:?}");
     assert!(reason.is_some_and(|reason| reason.contains("no safe way")));
     assert!(rig.robot.at_rest() && rig.robot.picture().arm.running.is_none());
+}
+
+/// Why a motion was not begun, if one was not.
+fn refusal(robot: &mut Robot) -> Option<String> {
+    robot.take_reports().into_iter().find_map(|report| match report {
+        Report::MotionRefused { reason, .. } => Some(reason),
+        _ => None,
+    })
+}
+
+#[test]
+fn a_plan_that_is_there_after_a_pause_of_the_whole_program_begins_from_then_on_or_never() {
+    for pause_ms in [200, 300, 1500] {
+        let config = Config::parse("[motions]\nto-fro = \"gap 5\"\n").unwrap();
+        let keys = HandInput::Keyboard;
+        let mut live = moving::live_before(robot().planning_aside(), &config, keys, keys, 0);
+        let mut now_ms = 0;
+        while now_ms < 1000 {
+            now_ms += 2;
+            live.advance(now_ms, [true; 2]);
+        }
+        assert_eq!(live.bridge().safety().state(), State::Armed);
+        live.press(HandKey::Gesture(2), now_ms);
+        while live.door().picture().arm.running.is_none() {
+            now_ms += 2;
+            assert!(now_ms < 5000, "nothing is planned");
+            live.advance(now_ms, [true; 2]);
+        }
+        let there = live.door().arm().joints_rad;
+        planned(live.door());
+        now_ms += pause_ms;
+        live.advance(now_ms, [true; 2]);
+        assert_eq!(live.door().arm().joints_rad, there, "{pause_ms}: it moved during the pause");
+        let begins = pause_ms < 250;
+        assert_eq!(live.door().picture().arm.running.is_some(), begins, "{pause_ms}");
+        for _ in 0..250 {
+            now_ms += 2;
+            live.advance(now_ms, [true; 2]);
+        }
+        assert_eq!(live.door().arm().joints_rad != there, begins, "{pause_ms}");
+    }
+}
+
+#[test]
+fn a_plan_that_does_not_come_within_two_seconds_is_refused_live_and_from_the_file() {
+    for mut robot in [robot().planning_aside(), robot().planning_held()] {
+        let goal = goal(&robot);
+        robot.start_motion(&goal).unwrap();
+        alive(&mut robot, 2000);
+        assert_eq!((refusal(&mut robot), robot.picture().arm.running.is_some()), (None, true));
+        alive(&mut robot, 20);
+        assert!(refusal(&mut robot).unwrap().contains("not planned after 2 s"));
+        assert!(robot.picture().arm.running.is_none() && !robot.plan_is_ready(), "it is not busy");
+        robot.begin_planned();
+        alive(&mut robot, 500);
+        assert!(robot.at_rest());
+    }
+}
+
+#[test]
+fn where_the_base_has_moved_meanwhile_a_plan_is_begun_only_if_its_way_is_clear_from_there() {
+    // The goals are gaps between posts around the robot, 20 degrees from the nearest posts.
+    for (turned_rad, begins) in [(0.05, true), (0.35, false)] {
+        let mut robot = robot().planning_aside();
+        let goal = goal(&robot);
+        robot.start_motion(&goal).unwrap();
+        let heading_rad = |robot: &Robot| robot.odometry().heading_rad;
+        while heading_rad(&robot) < turned_rad {
+            robot.drive(Twist { linear_m_s: 0.0, angular_rad_s: if begins { 0.1 } else { 0.5 } });
+            robot.pass(20);
+        }
+        while !robot.at_rest() {
+            robot.drive(Twist::ZERO);
+            robot.pass(20);
+        }
+        println!("turned by {:.3} rad after {} ms", heading_rad(&robot), robot.now_ms());
+        planned(&robot);
+        robot.begin_planned();
+        alive(&mut robot, 500);
+        assert_eq!(robot.at_rest(), !begins);
+        let reason = refusal(&mut robot);
+        assert_eq!(reason.is_some_and(|reason| reason.contains("the base has moved")), !begins);
+    }
+}
+
+#[test]
+fn a_plan_for_other_fingers_is_not_begun() {
+    let mut there = moving::pose("home");
+    there[0] += 0.3;
+    let scene = format!("[[tool]]\nname = \"2f-85\"\n[[pose]]\nname = \"aside\"\njoints_rad = {there:?}\n");
+    let planner = Planner::new(SerialArm::gen3(), Scene::parse(&scene).unwrap()).unwrap();
+    let mut robot = moving::in_scene(planner).planning_held();
+    // Until the gripper has said how far its fingers are apart.
+    alive(&mut robot, 20);
+    robot.start_motion(&MotionName::from("aside")).unwrap();
+    robot.robot_mut().grip(Grip { opening_m: 0.02, effort_n: None, between_m: None }).unwrap();
+    alive(&mut robot, 1500);
+    robot.begin_planned();
+    let reason = refusal(&mut robot);
+    assert!(reason.as_ref().is_some_and(|reason| reason.contains("the gripper has moved")), "{reason:?}");
 }

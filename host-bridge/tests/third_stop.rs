@@ -11,12 +11,19 @@
 //! older than 0.5 s makes the controller brake.
 
 use host_bridge::arm::gen3::COUNT;
+use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::{Director, Motions};
 use host_bridge::base::{BaseConfig, Twist};
 use host_bridge::config::Config;
-use host_bridge::robot::{DVec3, Door as _, JOINTS, JointLimits, MotionName, Report, brake};
+use host_bridge::plan::Planner;
+use host_bridge::robot::{
+    BaseState, DVec3, Door as _, End, Following, JOINTS, JointLimits, Joints, Motion, MotionName, Reading,
+    Report, Robot, Trajectory, brake,
+};
 use host_bridge::ros2::{Output, Ros2Config, RosRobot};
-use host_bridge::topics::message::{Header, JointState, JointTrajectory, Time};
+use host_bridge::scene::Scene;
+use host_bridge::topics::message::{Header, JointState, JointTrajectory, Odometry, Time};
+use std::sync::Arc;
 
 /// The controllers' cycle.
 const CYCLE_MS: u64 = 10;
@@ -289,6 +296,141 @@ fn a_hand_moves_the_tool_in_pieces_and_a_clutch_or_a_dead_program_is_an_arm_at_r
         );
         assert!(brakes_ms <= brakes_max_ms && open_ms <= 50 + braking_ms, "{brakes_ms} {open_ms}");
         assert!(dead_ms <= ARM_LIMIT_MS + braking_ms, "{dead_ms}");
+    }
+}
+
+/// As the robot on a graph: what it says waits until this program takes it in.
+struct Waiting {
+    robot: RosRobot,
+    said: Vec<JointState>,
+}
+
+impl Robot for Waiting {
+    fn hear(&mut self, now_ms: u64) {
+        self.robot.hear(now_ms);
+        for state in self.said.drain(..) {
+            self.robot.see(&state);
+        }
+        self.robot.see_base(&Odometry::default());
+    }
+    fn step(&mut self, now_ms: u64) {
+        self.robot.step(now_ms);
+    }
+    fn arm(&self) -> Option<Reading<Motion>> {
+        self.robot.arm()
+    }
+    fn held_rad(&self) -> Option<Joints> {
+        self.robot.held_rad()
+    }
+    fn base(&self) -> Option<Reading<BaseState>> {
+        self.robot.base()
+    }
+    fn joint_limits(&self) -> &JointLimits {
+        self.robot.joint_limits()
+    }
+    fn base_limits(&self) -> &BaseConfig {
+        self.robot.base_limits()
+    }
+    fn drive(&mut self, twist: Twist) {
+        self.robot.drive(twist);
+    }
+    fn can_follow(&self) -> Result<(), String> {
+        self.robot.can_follow()
+    }
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        self.robot.follow(trajectory)
+    }
+    fn ahead_ms(&self) -> Result<u64, String> {
+        self.robot.ahead_ms()
+    }
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        self.robot.follow_on(trajectory, from_s)
+    }
+    fn following(&self) -> Following {
+        self.robot.following()
+    }
+    fn take_end(&mut self) -> Option<End> {
+        self.robot.take_end()
+    }
+    fn halt_arm(&mut self) {
+        self.robot.halt_arm();
+    }
+    fn halt(&mut self) {
+        self.robot.halt();
+    }
+    fn reaction_ms(&self) -> u64 {
+        self.robot.reaction_ms()
+    }
+}
+
+#[test]
+fn in_a_scene_a_pause_of_this_program_does_not_set_the_robots_clock_ahead_and_the_arm_brakes_as_soon_after_it()
+ {
+    let limits = Config::default().arm_limits();
+    for pause_ms in [10, 100, 200] {
+        let robot = RosRobot::new(&Ros2Config::default(), limits, BaseConfig::default());
+        let motions = Motions::paper();
+        let joints = motions.pose("home").unwrap();
+        let mut controller = Controller { message: None, joints, speed: [0.0; JOINTS], worst_rad_s2: 0.0 };
+        let planner = Arc::new(Planner::new(SerialArm::gen3(), Scene::default()).unwrap());
+        let mut door = Director::in_scene(Waiting { robot, said: Vec::new() }, motions, planner);
+        door.robot_mut().robot.set_arm_listened_to(true);
+        let mut now_ms = 1000;
+        door.robot_mut().robot.at(now_ms);
+        door.step(now_ms);
+        let cycle = |door: &mut Director<Waiting>, controller: &mut Controller, now_ms: u64, alive: bool| {
+            controller.cycle(now_ms);
+            door.robot_mut().said.push(controller.state(now_ms));
+            if alive {
+                door.step(now_ms);
+                for output in door.robot_mut().robot.take_outputs() {
+                    if let Output::Trajectory(message) = output {
+                        controller.message = Some(message);
+                    }
+                }
+            }
+        };
+        for k in 0..150 {
+            now_ms += CYCLE_MS;
+            cycle(&mut door, &mut controller, now_ms, true);
+            if k > 20 && k % 2 == 0 {
+                door.drive(Twist::ZERO);
+                door.jog(DVec3::new(0.06, -0.03, 0.02));
+            }
+        }
+        assert!(!controller.rests(), "the tool moves");
+        for _ in 0..pause_ms / CYCLE_MS - 1 {
+            now_ms += CYCLE_MS;
+            cycle(&mut door, &mut controller, now_ms, false);
+        }
+        // For two seconds after a pause the clock is known from what was heard then.
+        for k in 0..50 {
+            now_ms += CYCLE_MS;
+            cycle(&mut door, &mut controller, now_ms, true);
+            if k % 2 == 0 {
+                door.drive(Twist::ZERO);
+                door.jog(DVec3::new(0.06, -0.03, 0.02));
+            }
+        }
+        assert!(!controller.rests(), "{pause_ms}: the tool moves on");
+        // As the bridge does where the clutch opens.
+        door.halt();
+        let size = |speed: &[f64; JOINTS]| speed.iter().map(|v| v * v).sum::<f64>();
+        let (from_ms, mut last) = (now_ms, size(&controller.speed));
+        loop {
+            now_ms += CYCLE_MS;
+            cycle(&mut door, &mut controller, now_ms, true);
+            let now = size(&controller.speed);
+            if now < last - 1e-9 {
+                break;
+            }
+            last = now;
+        }
+        println!(
+            "after a pause of {pause_ms} ms: the arm brakes {} ms after the clutch opens",
+            now_ms - from_ms
+        );
+        assert!(now_ms - from_ms <= 50, "{pause_ms}: {} ms", now_ms - from_ms);
     }
 }
 

@@ -29,7 +29,7 @@ use super::keep::{KeepArgs, Start, origin};
 use super::lines::PageLine;
 use super::ports::{check_name, read_config, settings};
 use super::ros2::{FAREWELL_MS, Graph, Output};
-use super::screen::{SHOW, Screen, keys};
+use super::screen::{Held, SHOW, Screen, keys};
 use super::web::WebArgs;
 use crate::play::{check_motions, stage};
 
@@ -288,6 +288,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         keys,
         end_arm: config.keyboard.end_arm,
         clutch,
+        clutch_held: Held::default(),
     };
     if screen.view.is_none() && !args.json {
         screen.line(&title);

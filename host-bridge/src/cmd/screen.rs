@@ -24,6 +24,9 @@ const PATIENCE: Duration = Duration::from_millis(10);
 /// Time within which the release key must be pressed twice.
 const CONFIRM: Duration = Duration::from_secs(2);
 
+/// Ordinary terminals send a key that is held as pressed again and again, after 250 to 660 ms and then faster.
+const HELD: Duration = Duration::from_millis(700);
+
 const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
 const MARK_KEYS: &str = "episode: b begins, e ends, a again, g good, n no good";
 const SHOW_KEYS: &str = "t: show each gesture three times, and the model learns your hand; t again: give up";
@@ -79,6 +82,22 @@ pub struct Screen {
     pub end_arm: char,
     /// The key that lends the left hand to the arm, and takes it back.
     pub clutch: Option<char>,
+    /// Whether that is held.
+    pub clutch_held: Held,
+}
+
+/// Tells a key that is pressed from one that is held.
+#[derive(Default)]
+pub struct Held {
+    /// When it was last seen, whether that counted or not.
+    seen: Option<Instant>,
+}
+
+impl Held {
+    /// It is seen now; whether it counts.
+    fn is_new(&mut self, now: Instant) -> bool {
+        self.seen.replace(now).is_none_or(|seen| now.duration_since(seen) > HELD)
+    }
 }
 
 impl Screen {
@@ -182,9 +201,12 @@ impl Screen {
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
-                // Once, however long it is held.
-                KeyCode::Char(letter) if Some(letter) == self.clutch && key.kind == KeyEventKind::Press => {
-                    control.order(Order::Clutch);
+                KeyCode::Char(letter) if Some(letter) == self.clutch => {
+                    // Counts once, however long the key is held.
+                    let is_new = self.clutch_held.is_new(Instant::now());
+                    if is_new && key.kind == KeyEventKind::Press {
+                        control.order(Order::Clutch);
+                    }
                 }
                 KeyCode::Char('r') => self.release(control),
                 KeyCode::Char(SHOW) if self.shows && key.kind == KeyEventKind::Press => {
@@ -255,5 +277,24 @@ impl Screen {
         if let Some(counts) = ros2 {
             self.line(&format!("ROS 2: {} speeds and {} arm motions sent", counts.twists, counts.motions));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_that_is_held_counts_once_and_again_only_after_it_was_let_go() {
+        let (mut held, began) = (Held::default(), Instant::now());
+        let at = |ms| began + Duration::from_millis(ms);
+        assert!(held.is_new(at(0)));
+        // The first repeat of a slow terminal, then thirty a second for five seconds.
+        let repeats = std::iter::once(660).chain((690..5690).step_by(33));
+        for ms in repeats {
+            assert!(!held.is_new(at(ms)), "{ms}");
+        }
+        assert!(!held.is_new(at(6300)), "too soon after the last one");
+        assert!(held.is_new(at(7100)));
     }
 }

@@ -6,7 +6,8 @@
 //!
 //! ```text
 //! advance(now):  the robot moves up to now ─► hands speak, their bytes are received ─► what boards need is sent
-//!                ─► the bridge decides ─► the robot is handed what was decided ─► observers look
+//!                ─► the bridge decides ─► a motion that was planned meanwhile begins ─► the robot is handed what was decided
+//!                ─► observers look
 //! receive(hand, bytes, now), stop_key(now), release_key(now): at once, between two turns
 //! ```
 
@@ -225,10 +226,6 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// Moves the robot, which is the first part of a turn.
     pub fn move_on(&mut self, passed_ms: u64) {
-        if self.door.plan_is_ready() {
-            self.tap.show(|observer| observer.turned(Turn::Planned));
-            self.door.begin_planned();
-        }
         self.tap.show(|observer| observer.turned(Turn::Moved(passed_ms)));
         self.moved_ms += passed_ms;
         self.door.step(self.moved_ms);
@@ -243,6 +240,11 @@ impl<'b, D: Door> Engine<'b, D> {
         }
         self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
         self.bridge.step(now_ms, &mut self.door);
+        // Now the robot knows the time, and whatever halts in this turn has thrown the plan away.
+        if self.door.plan_is_ready() {
+            self.tap.show(|observer| observer.turned(Turn::Planned));
+            self.door.begin_planned();
+        }
         self.door.send();
         self.bridge.take_events()
     }

@@ -2,8 +2,9 @@
 //!
 //! While it is lent, the base stands still, tilts move the tool in the plane and bends move it up and down. The right hand's
 //! rest is the dead-man: as soon as it does not rest, the arm brakes. Whatever halts the arm needs neutral of both hands
-//! before it moves again. Who has the left hand changes by the clutch, and is taken back by every stop, by a hand that starts
-//! anew, and by a robot that refuses; never by silence or doubt, after which the same hand would suddenly drive the base.
+//! before it moves again. Who has the left hand changes by the clutch, and is taken back by the operator's stop and by the
+//! end of the arm's motion; never by silence, doubt, a hand that starts anew or a robot that refuses for a while, after which
+//! the same hand would suddenly drive the base.
 
 use host_robot::DVec3;
 use serde::{Deserialize, Serialize};

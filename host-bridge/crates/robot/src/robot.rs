@@ -87,6 +87,10 @@ pub enum End {
 /// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
 /// No method may block.
 pub trait Robot {
+    /// Reads what the robot has sent until `now_ms`, the time of this turn; [`Robot::step`] may then reach it in several steps.
+    /// A remote robot's messages must not be dated earlier than they arrived.
+    fn hear(&mut self, _now_ms: u64) {}
+
     /// Advances the time to `now_ms`.
     fn step(&mut self, now_ms: u64);
 
@@ -214,6 +218,9 @@ pub trait Robot {
 }
 
 impl<R: Robot + ?Sized> Robot for Box<R> {
+    fn hear(&mut self, now_ms: u64) {
+        (**self).hear(now_ms);
+    }
     fn step(&mut self, now_ms: u64) {
         (**self).step(now_ms);
     }

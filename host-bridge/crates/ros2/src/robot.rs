@@ -273,6 +273,10 @@ fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
 }
 
 impl Robot for RosRobot {
+    fn hear(&mut self, now_ms: u64) {
+        self.at(now_ms);
+    }
+
     /// Performs repetitions, waits and time-outs, as described in the module documentation.
     fn step(&mut self, now_ms: u64) {
         self.at(now_ms);

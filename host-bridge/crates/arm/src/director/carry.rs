@@ -16,9 +16,9 @@ const OFF_MAX_RAD: f64 = 0.03;
 /// Maximum displacement of the base since planning, in m and in rad; a larger one ends the motion.
 const SHIFTED_MAX: f64 = 0.01;
 /// The commander repeats itself several times within this time. After a silence, nothing continues automatically.
-const SILENCE_MS: u64 = 250;
+pub(super) const SILENCE_MS: u64 = 250;
 /// Minimum change of the finger distance that means a lost object: wider means released, narrower means lost.
-const LET_GO_M: f64 = 0.002;
+pub(super) const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
 #[derive(Clone, Debug)]
@@ -186,8 +186,8 @@ impl<R: Robot> Director<R> {
         }
         if let Some(planned) = planned {
             let here = Placement::from(self.known_base()?.odometry);
-            let off_m = (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m);
-            if off_m > SHIFTED_MAX || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX {
+            if has_shifted(here, planned) {
+                let off_m = (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m);
                 return Err(format!("the base is {off_m:.2} m from where the motion was planned"));
             }
         }
@@ -297,6 +297,12 @@ impl<R: Robot> Director<R> {
         let Following::Moving { elapsed_s } = self.robot.following() else { return None };
         Some((self.running.as_ref()?.trajectory()?, elapsed_s))
     }
+}
+
+/// The base is not where it was.
+pub(super) fn has_shifted(here: Placement, planned: Placement) -> bool {
+    (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m) > SHIFTED_MAX
+        || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX
 }
 
 fn stalled(felt_m: Option<f64>) -> String {

@@ -31,6 +31,8 @@ const KEEP_S: f64 = 1.0;
 const SILENCE_MS: u64 = 250;
 /// Shares of the wanted speed that are tried, one after the other.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
+/// People are told this seldom what keeps the tool from moving; every state shows it.
+const NOTES_MS: u64 = 1000;
 /// A base that is faster than this, in m/s or rad/s, has to rest first.
 const BASE_RESTS: f64 = 0.01;
 
@@ -42,6 +44,8 @@ pub(super) struct Jog {
     asked_ms: u64,
     /// What was refused is not tried again before this time.
     due_ms: u64,
+    /// What keeps it from moving is not told again before this time.
+    tell_ms: u64,
     /// The tool's orientation when it began to move.
     hold: DMat3,
     /// Up to this time of the plan the tool is moved; from there on it brakes.
@@ -77,10 +81,13 @@ impl<R: Robot> Director<R> {
             Some(_) => return,
         };
         match done {
-            Ok(()) => self.jog.held = None,
+            Ok(true) => self.jog.held = None,
+            Ok(false) => {}
             Err(why) => {
                 self.jog.due_ms = self.now_ms + TICK_MS;
-                if self.jog.held.is_none() {
+                // At a limit pieces are taken and refused by turns.
+                if self.jog.held.is_none() && self.now_ms >= self.jog.tell_ms {
+                    self.jog.tell_ms = self.now_ms + NOTES_MS;
                     self.reports.push(Report::Note(format!("the tool is held: {why}")));
                 }
                 self.jog.held = Some(why);
@@ -88,13 +95,14 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    fn begin_jog(&mut self) -> Result<(), String> {
+    /// Whether a piece was taken.
+    fn begin_jog(&mut self) -> Result<bool, String> {
         self.robot.can_follow()?;
         let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
         if here.velocity_rad_s.iter().any(|speed| speed.abs() > REST_RAD_S) {
             // It will rest in a moment.
-            return Ok(());
+            return Ok(false);
         }
         let from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);
         self.bare
@@ -108,28 +116,29 @@ impl<R: Robot> Director<R> {
         self.jog.until_s = until_s;
         self.running = Some(Running::jogging(plan, self.now_ms));
         self.guard_due_ms = 0;
-        Ok(())
+        Ok(true)
     }
 
-    fn go_on_jogging(&mut self) -> Result<(), String> {
+    /// Whether a piece was taken.
+    fn go_on_jogging(&mut self) -> Result<bool, String> {
         let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
-        let Some((plan, elapsed_s)) = self.along() else { return Ok(()) };
+        let Some((plan, elapsed_s)) = self.along() else { return Ok(false) };
         let (earliest_s, enough_s) = (elapsed_s + ahead_s, elapsed_s + ahead_s + PIECE_S);
         if self.jog.until_s >= enough_s {
-            return Ok(());
+            return Ok(false);
         }
         let from_s = self.jog.until_s.max(earliest_s);
         let (plan, until_s) = self.extended(&Arc::clone(plan), from_s, enough_s)?;
         let plan = Arc::new(plan);
         if self.robot.follow_on(Arc::clone(&plan), from_s).is_err() {
             // It would have come too late; the robot goes on as before, and brakes.
-            return Ok(());
+            return Ok(false);
         }
         self.jog.until_s = until_s;
         if let Some(running) = &mut self.running {
             running.replace(plan);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// The plan with pieces from `from_s` on, at least until `enough_s`, and how far they go. Fewer if there are no more.
@@ -182,15 +191,23 @@ impl<R: Robot> Director<R> {
             .map_err(|error| error.to_string())
     }
 
-    /// The guard: nothing is touched on the way, nor while braking after it. The base stands still.
+    /// The guard: nothing is touched on the way, nor while braking after it. The base stands still. Without a scene the
+    /// robot itself can still be touched.
     fn keeps_clear(&self, next: &Trajectory, at_s: f64) -> Result<(), String> {
-        let Some(planner) = &self.planner else { return Ok(()) };
-        let base = self.known_base().map_err(|why| format!("what is around is not known: {why}"))?;
+        let Some(world) = self.planner.as_ref().map(|planner| planner.world()).or(self.bare.alone.as_ref())
+        else {
+            return Err("nothing is known of what is around".to_owned());
+        };
+        let base = match &self.planner {
+            Some(_) => self.known_base().map_err(|why| format!("what is around is not known: {why}"))?,
+            // Wherever it is, it is the same to the arm.
+            None => BaseState::default(),
+        };
         let twist = base.odometry.twist;
         if twist.linear_m_s.abs() > BASE_RESTS || twist.angular_rad_s.abs() > BASE_RESTS {
             return Err("the base still moves".to_owned());
         }
-        let guard = Guard { world: planner.world(), limits: self.joint_limits(), things: &self.things };
+        let guard = Guard { world, limits: self.joint_limits(), things: &self.things };
         let odometry = Odometry { twist: Twist::ZERO, ..base.odometry };
         let model = Base::at(*self.robot.base_limits(), &BaseState { odometry, ..base });
         let at = |time_s: f64| Moving { odometry, ..Moving::now(&model, next.motion(time_s)) };

@@ -26,7 +26,7 @@ use host_robot::{
 use crate::model::SerialArm;
 use crate::motions::Motions;
 use crate::plan::guard::TICK_MS;
-use crate::plan::{Placement, Planner};
+use crate::plan::{Placement, Planner, World};
 use crate::scene::Scene;
 use crate::things::{Things, in_scene};
 use crate::tool::Tool;
@@ -47,6 +47,8 @@ struct Bare {
     arm: SerialArm,
     scene: Scene,
     tool: Tool,
+    /// The robot with nothing around it, where there is no scene: a hand must not move its arm into itself.
+    alone: Option<World>,
 }
 
 /// See the module.
@@ -94,6 +96,7 @@ impl<R: Robot> Director<R> {
     fn with(robot: R, motions: Motions, arm: SerialArm, planner: Option<Arc<Planner>>) -> Self {
         let mut things =
             planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
+        let alone = planner.is_none().then(|| World::new(arm.clone(), Scene::default()));
         // The robot has not reported this yet.
         things.opening_m = None;
         Director {
@@ -102,7 +105,7 @@ impl<R: Robot> Director<R> {
             things,
             grip_before_m: None,
             commanded_ms: 0,
-            bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default() }),
+            bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default(), alone }),
             planner,
             now_ms: 0,
             running: None,
@@ -166,6 +169,7 @@ impl<R: Robot> Director<R> {
 
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
+        self.robot.hear(now_ms);
         // In a scene, the guard checks after each tick, however long this program was paused.
         // After a pause in which every robot has come to rest by itself, the rest of the pause is a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
@@ -178,6 +182,7 @@ impl<R: Robot> Door for Director<R> {
             self.robot.step(self.now_ms);
             self.carry_on();
             self.jog_on();
+            self.doubt_plan();
         }
         self.reports.extend(self.robot.take_accepted().into_iter().map(Report::Accepted));
         self.reports.extend(self.robot.take_notes().into_iter().map(Report::Note));

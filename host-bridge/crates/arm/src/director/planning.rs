@@ -1,20 +1,34 @@
 //! Planning beside the thread that also stops the robot.
 //!
 //! While a motion is planned, the arm rests, and stops, silence and everything else go on as ever: they throw the plan away. A
-//! plan that is there is begun only if nothing has changed since. Without a thread ([`How::AtOnce`], virtual time) a motion
-//! begins in the moment in which it was asked for; a session that is computed again from its file begins it where the file says
-//! that it began ([`How::Held`]).
+//! plan that comes late is not begun ([`AGE_MAX_MS`]), nor one that no longer fits: the things, the fingers and the arm must be as
+//! they were, and if the base has moved meanwhile, the way must be clear from where it is now. Without a thread
+//! ([`How::AtOnce`], virtual time) a motion begins in the moment in which it was asked for; a session that is computed again from
+//! its file begins it where the file says that it began ([`How::Held`]). Ages count in the session's own time, so that both
+//! end alike.
 
 use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use host_robot::{MotionName, Report, Robot};
+use host_robot::{MotionName, Report, Robot, Trajectory};
 
-use crate::plan::Placement;
+use crate::plan::guard::MARGIN_M;
+use crate::plan::{Placement, Planner};
+use crate::things::Things;
 
 use super::Director;
+use super::carry::{LET_GO_M, SILENCE_MS, has_shifted};
 use super::sequence::{Act, Task};
+
+/// A plan that is not there after this long is not waited for: an arm must not start when nobody expects it any more. Release
+/// builds need about a tenth of it for what a motion may cost at most, on one core.
+pub const AGE_MAX_MS: u64 = 2000;
+
+/// A way from another place is looked at in pieces of this length.
+const LOOK_S: f64 = 0.05;
 
 /// Where motions are planned.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,35 +48,80 @@ type Plan = Result<VecDeque<Act>, String>;
 #[derive(Clone, Debug)]
 pub(super) struct Planning {
     pub(super) motion: MotionName,
+    /// When it was asked for.
+    since_ms: u64,
     /// Where the base stood.
-    placement: Option<Placement>,
+    placement: Placement,
+    /// What it was planned with.
+    things: Things,
     job: Job,
 }
 
 #[derive(Clone, Debug)]
 enum Job {
     Done(Plan),
-    /// Taken once. Whoever drops it does not wait for it: its plan is thrown away.
-    Thread(Arc<Mutex<Option<JoinHandle<Plan>>>>),
+    Thread(Arc<Thread>),
+    /// There is no thread for it, and so never a plan.
+    Never,
+}
+
+/// Where it is planned. Whoever drops this does not wait for it: the search ends soon, and its plan is thrown away.
+#[derive(Debug)]
+struct Thread {
+    /// `None` in it = the plan failed.
+    handle: Mutex<Option<JoinHandle<Option<Plan>>>>,
+    /// It has a plan, or a reason why there is none.
+    is_done: Arc<AtomicBool>,
+    ends: Arc<AtomicBool>,
+}
+
+impl Drop for Thread {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+    }
 }
 
 impl Job {
-    fn is_finished(&self) -> bool {
-        let Job::Thread(handle) = self else { return false };
-        handle.lock().unwrap_or_else(PoisonError::into_inner).as_ref().is_some_and(JoinHandle::is_finished)
+    /// A thread that cannot be started, or that fails, is a plan that never comes: live and from the file.
+    fn aside(task: Task) -> Self {
+        let (is_done, ends) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
+        let task = task.ended_by(Arc::clone(&ends));
+        let told = Arc::clone(&is_done);
+        let thread = std::thread::Builder::new().name("planner".to_owned()).spawn(move || {
+            let plan = planned(task);
+            told.store(plan.is_some(), Ordering::Release);
+            plan
+        });
+        thread.map_or(Job::Never, |handle| {
+            Job::Thread(Arc::new(Thread { handle: Mutex::new(Some(handle)), is_done, ends }))
+        })
+    }
+
+    fn here(task: Task) -> Self {
+        planned(task).map_or(Job::Never, Job::Done)
+    }
+
+    fn is_ready(&self) -> bool {
+        matches!(self, Job::Thread(thread) if thread.is_done.load(Ordering::Acquire))
     }
 
     fn plan(self) -> Plan {
-        match self {
-            Job::Done(plan) => plan,
-            Job::Thread(handle) => {
-                let handle = handle.lock().unwrap_or_else(PoisonError::into_inner).take();
-                // A panic was printed where it happened.
-                let failed = || Err("planning it failed; please report this".to_owned());
-                handle.and_then(|handle| handle.join().ok()).unwrap_or_else(failed)
+        let plan = match self {
+            Job::Done(plan) => Some(plan),
+            Job::Thread(thread) => {
+                let handle = thread.handle.lock().unwrap_or_else(PoisonError::into_inner).take();
+                handle.and_then(|handle| handle.join().ok()).flatten()
             }
-        }
+            Job::Never => None,
+        };
+        plan.unwrap_or_else(|| Err("planning it failed; please report this".to_owned()))
     }
+}
+
+/// `None` = it failed; the panic was printed where it happened.
+fn planned(task: Task) -> Option<Plan> {
+    // A task is a copy of how things are, and is gone with its failure.
+    catch_unwind(AssertUnwindSafe(|| task.plan())).ok()
 }
 
 impl<R: Robot> Director<R> {
@@ -80,44 +139,94 @@ impl<R: Robot> Director<R> {
 
     /// Plans it, and begins it if it is planned already.
     pub(super) fn plan(&mut self, motion: &MotionName, task: Task) -> Result<(), String> {
-        let placement = self.planner.as_ref().and_then(|_| self.known_base().ok());
-        let placement = placement.map(|base| Placement::from(base.odometry));
+        let (placement, things) = task.taken();
         // Without a scene there is hardly anything to plan.
         let job = match self.how {
-            How::Aside if self.planner.is_some() => {
-                let thread = std::thread::Builder::new().name("planner".to_owned());
-                let handle = thread.spawn(move || task.plan());
-                let handle =
-                    handle.map_err(|error| format!("the system starts no thread to plan it: {error}"))?;
-                Job::Thread(Arc::new(Mutex::new(Some(handle))))
-            }
-            How::Held if self.planner.is_some() => Job::Done(task.plan()),
+            How::Aside if self.planner.is_some() => Job::aside(task),
+            How::Held if self.planner.is_some() => Job::here(task),
             _ => {
                 let acts = task.plan()?;
-                return self.begin(motion, acts, placement);
+                return self.begin(motion, acts, self.planner.as_ref().map(|_| placement));
             }
         };
-        self.planning = Some(Planning { motion: motion.clone(), placement, job });
+        let since_ms = self.now_ms;
+        self.commanded_ms = since_ms;
+        self.planning = Some(Planning { motion: motion.clone(), since_ms, placement, things, job });
         Ok(())
     }
 
     pub(super) fn has_planned(&self) -> bool {
-        self.planning.as_ref().is_some_and(|planning| planning.job.is_finished())
+        self.planning.as_ref().is_some_and(|planning| planning.job.is_ready())
     }
 
     /// Begins what was planned, unless something has changed since.
     pub(super) fn begin_what_is_planned(&mut self) {
-        let Some(Planning { motion, placement, job }) = self.planning.take() else { return };
+        let Some(planning) = self.planning.take() else { return };
+        let Planning { motion, placement, things, job, .. } = planning;
         let begun = job.plan().and_then(|acts| {
-            if let Some(first) = acts.front() {
-                let at_work = acts.iter().any(Act::is_at_work);
-                self.can_go_on(first, placement.filter(|_| at_work))?;
-            }
-            self.begin(&motion, acts, placement)
+            self.still_fits(&acts, placement, &things)?;
+            self.begin(&motion, acts, Some(placement))
         });
         if let Err(reason) = begun {
             self.reports.push(Report::MotionRefused { motion, reason });
         }
+    }
+
+    fn still_fits(&self, acts: &VecDeque<Act>, planned: Placement, then: &Things) -> Result<(), String> {
+        let Some(planner) = &self.planner else { return Ok(()) };
+        let at_work = acts.iter().any(Act::is_at_work);
+        if let Some(first) = acts.front() {
+            self.can_go_on(first, at_work.then_some(planned))?;
+        }
+        let fingers = [then, &self.things].map(|things| things.opening_m);
+        let are_same = match fingers {
+            [Some(then_m), Some(now_m)] => (then_m - now_m).abs() <= LET_GO_M,
+            [then_m, now_m] => then_m == now_m,
+        };
+        if !are_same || then.poses != self.things.poses {
+            return Err("the gripper has moved while it was planned; ask for the motion again".to_owned());
+        }
+        let here = Placement::from(self.known_base()?.odometry);
+        if has_shifted(here, planned) && !self.is_clear_from(here, planner, acts) {
+            return Err("the base has moved while it was planned, and from here the way is not clear; let the base rest, \
+                        and ask for the motion again"
+                .to_owned());
+        }
+        Ok(())
+    }
+
+    /// The arm's way touches nothing with the base here.
+    fn is_clear_from(&self, here: Placement, planner: &Planner, acts: &VecDeque<Act>) -> bool {
+        let around = planner.world().around_with(here, &self.things);
+        let is_clear = |trajectory: &Trajectory| {
+            let pieces = (trajectory.duration_s() / LOOK_S).ceil() as usize;
+            let at = |k: usize| trajectory.motion(LOOK_S * k as f64).joints_rad;
+            (0..pieces).all(|k| around.way_is_clear(&at(k), &at(k + 1), MARGIN_M))
+        };
+        acts.iter().all(|act| match act {
+            Act::Follow { trajectory, .. } => is_clear(trajectory),
+            _ => true,
+        })
+    }
+
+    /// A plan that comes too late, or after a silence, is not begun.
+    pub(super) fn doubt_plan(&mut self) {
+        let Some(planning) = &self.planning else { return };
+        let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
+        let reason = if silent_ms > SILENCE_MS {
+            format!("nobody has commanded for {silent_ms} ms")
+        } else if self.now_ms.saturating_sub(planning.since_ms) > AGE_MAX_MS {
+            format!(
+                "it is not planned after {} s: this computer is busy with something else, or starts no thread for it; ask for \
+                 the motion again",
+                AGE_MAX_MS / 1000
+            )
+        } else {
+            return;
+        };
+        let motion = planning.motion.clone();
+        self.planning = None;
+        self.reports.push(Report::MotionRefused { motion, reason });
     }
 
     /// Whatever is planned is not begun.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 use host_robot::shape::Point;
 use host_robot::{DVec3, JointLimits, Joints, MotionName, Pose, Robot, Trajectory};
@@ -98,6 +99,17 @@ struct Plot {
 }
 
 impl Task {
+    /// Where the base and the things were, as it takes them.
+    pub(super) fn taken(&self) -> (Placement, Things) {
+        (self.draft.placement, self.draft.things.clone())
+    }
+
+    /// Who sets this lets it end soon, without a plan.
+    pub(super) fn ended_by(mut self, ends: Arc<AtomicBool>) -> Self {
+        self.draft.purse = self.draft.purse.ended_by(ends);
+        self
+    }
+
     /// The acts, or why there is no safe one.
     pub(super) fn plan(self) -> Result<VecDeque<Act>, String> {
         let Task { plot, steps, mut draft } = self;

@@ -327,7 +327,7 @@ impl Planner {
             if best.kind == Kind::Straight || left < dearest {
                 break;
             }
-            let purse = Purse::of(left);
+            let purse = case.purse.apart(left);
             let other = self.plan_among(from_rad, to_rad, Case { purse: &purse, ..case }, turn ^ (k << 32));
             case.purse.spend(purse.spent());
             dearest = dearest.max(purse.spent());

@@ -1,6 +1,8 @@
 //! The budget for planning one complete motion.
 
 use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Checks that one motion may take, over all its steps. `run` makes them beside the thread that stops the robot; whoever plans
 /// at once, as in virtual time, waits for them: `a_motion_is_planned_or_refused_within_its_checks` in tests/plan_scenes.rs
@@ -13,6 +15,8 @@ pub const MOTION_CHECKS_MAX: u64 = 40_000;
 pub struct Purse {
     full: u64,
     spent: Cell<u64>,
+    /// Once this is set nothing is left: nobody waits for the answer any more.
+    ends: Option<Arc<AtomicBool>>,
 }
 
 impl Default for Purse {
@@ -24,7 +28,19 @@ impl Default for Purse {
 impl Purse {
     /// This many checks.
     pub fn of(checks: u64) -> Self {
-        Purse { full: checks, spent: Cell::new(0) }
+        Purse { full: checks, spent: Cell::new(0), ends: None }
+    }
+
+    /// The same, until this is set.
+    #[must_use]
+    pub fn ended_by(self, ends: Arc<AtomicBool>) -> Self {
+        Purse { ends: Some(ends), ..self }
+    }
+
+    /// A purse of its own with this many checks, which ends with this one.
+    #[must_use]
+    pub fn apart(&self, checks: u64) -> Self {
+        Purse { ends: self.ends.clone(), ..Purse::of(checks) }
     }
 
     /// This many were made.
@@ -39,6 +55,9 @@ impl Purse {
 
     /// How many are left.
     pub fn left(&self) -> u64 {
+        if self.ends.as_ref().is_some_and(|ends| ends.load(Ordering::Relaxed)) {
+            return 0;
+        }
         self.full.saturating_sub(self.spent.get())
     }
 
@@ -56,5 +75,21 @@ impl Purse {
                 self.full
             )
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_left_once_nobody_waits_any_more_nor_in_what_was_set_apart() {
+        let ends = Arc::<AtomicBool>::default();
+        let purse = Purse::of(100).ended_by(Arc::clone(&ends));
+        let apart = purse.apart(50);
+        purse.spend(10);
+        assert_eq!((purse.left(), apart.left()), (90, 50));
+        ends.store(true, Ordering::Relaxed);
+        assert!(purse.is_empty() && apart.is_empty());
     }
 }

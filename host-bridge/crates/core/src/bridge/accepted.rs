@@ -1,6 +1,6 @@
 //! Measures the age of a hand's sample when the robot reports its effect.
 
-use host_robot::Part;
+use host_robot::{Part, Report};
 use serde::Serialize;
 
 /// The time from a hand's sample to the robot's report of its effect.
@@ -42,6 +42,14 @@ impl Acceptances {
         self.asked_ms = [None; 2];
     }
 
+    /// Forgets the arm's pending command if its motion was refused or did not reach its end.
+    /// Otherwise the next motion's start would be attributed to it.
+    pub(super) fn see(&mut self, report: &Report) {
+        if matches!(report, Report::MotionRefused { .. } | Report::MotionEnded { reached: false, .. }) {
+            self.asked_ms[Part::Arm as usize] = None;
+        }
+    }
+
     /// Records that the robot acts on a command. Returns the current age of the sample if a command was pending.
     pub(super) fn accept(&mut self, part: Part, now_ms: u64) -> Option<u64> {
         let age_ms = now_ms.saturating_sub(self.asked_ms[part as usize].take()?);
@@ -58,6 +66,23 @@ impl Acceptances {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use host_robot::MotionName;
+
+    #[test]
+    fn what_the_arm_takes_after_a_motion_that_was_refused_or_halted_is_not_counted_as_that_one() {
+        let motion = MotionName::from("pick-up");
+        let ended = |reached| Report::MotionEnded { motion: motion.clone(), reached };
+        let refused = Report::MotionRefused { motion: motion.clone(), reason: String::new() };
+        for (report, counts) in [(refused, None), (ended(false), None), (ended(true), Some(400))] {
+            let mut all = Acceptances::default();
+            all.ask(Part::Arm, 0, 100);
+            all.ask(Part::Base, 0, 100);
+            all.see(&report);
+            // A hand moves the tool: nobody asked for that by a gesture.
+            assert_eq!(all.accept(Part::Arm, 500), counts, "{report:?}");
+            assert_eq!(all.accept(Part::Base, 140), Some(40));
+        }
+    }
 
     #[test]
     fn an_age_runs_from_the_sample_to_the_robots_word_and_each_command_counts_once() {

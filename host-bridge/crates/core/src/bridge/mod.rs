@@ -163,6 +163,7 @@ impl Bridge {
             }
         }
         for report in robot.take_reports() {
+            self.acceptances.see(&report);
             let kind = match report {
                 Report::Accepted(part) => match self.acceptances.accept(part, now_ms) {
                     Some(age_ms) => EventKind::Accepted { part, age_ms },

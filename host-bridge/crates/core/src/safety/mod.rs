@@ -231,7 +231,6 @@ impl Safety {
                 if hand == Hand::Right {
                     self.right_rested = false;
                 }
-                self.lend(false, &mut actions);
                 self.leave_armed(State::Waiting, HaltReason::Restart(hand), &mut actions);
             }
             Event::Unusable(hand) => {
@@ -304,7 +303,6 @@ impl Safety {
             Event::Robot { refuses } => {
                 self.refused = refuses;
                 if refuses {
-                    self.lend(false, &mut actions);
                     self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
                 } else if self.state == State::Refused {
                     // Neutral counts only from now on.
