@@ -42,7 +42,7 @@ pub const TOLERANCE: f64 = 1e-9;
 pub struct Solution {
     /// Joint angles within the limits, in rad.
     pub joints_rad: Joints,
-    /// What it took.
+    /// The work that the search took.
     pub steps: usize,
 }
 
@@ -54,7 +54,7 @@ pub enum Unreachable {
         "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
     )]
     Beyond {
-        /// Minimum distance from the target to the arm's reach.
+        /// Minimum distance between the target and the arm's reach.
         beyond_mm: f64,
     },
     /// The search ended without a solution.
@@ -67,7 +67,7 @@ pub enum Unreachable {
         position_mm: f64,
         /// Its wrong turn.
         angle_mrad: f64,
-        /// What was used: steps,
+        /// The work that the search took: steps,
         steps: usize,
         /// Number of solutions that were not accepted.
         looks: usize,

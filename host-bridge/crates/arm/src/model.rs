@@ -19,10 +19,10 @@ use host_robot::shape::{Capsule, Point};
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
 
-/// One joint and the link that it moves. Where it slides, its angles, speeds and limits are in m instead of rad.
+/// One joint and the link that it moves. For a sliding joint, positions, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
-    /// Name in the robot's own description.
+    /// Name of the joint in the robot's own description.
     pub name: String,
     /// Name of the moved link in the same description.
     pub link: String,
@@ -32,9 +32,9 @@ pub struct ArmJoint {
     pub origin_rotation: DMat3,
     /// Axis of the joint in the joint's frame, with length 1.
     pub axis: Point,
-    /// It slides along its axis instead of turning about it. Such a joint has limits.
+    /// Whether the joint slides along its axis instead of turning about it. Such a joint has limits.
     pub slides: bool,
-    /// Minimum and maximum angle; `None` = turns without end.
+    /// Minimum and maximum angle; `None` means that the joint turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Fastest turn.
     pub velocity_rad_s: f64,
@@ -42,7 +42,7 @@ pub struct ArmJoint {
     pub acceleration_rad_s2: f64,
     /// Shapes that enclose the moved link, in the joint's frame.
     pub shapes: Vec<Capsule>,
-    /// The same without what stands out, if that is known; else empty.
+    /// The same shapes without protruding parts if these are known; otherwise empty.
     pub solids: Vec<Solid>,
 }
 
@@ -65,7 +65,7 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// As [`ArmJoint::solids`].
     pub foot_solids: Vec<Solid>,
-    /// The pose to go to first and to fall back to, in rad.
+    /// The arm's first pose, which also replaces missing ones, in rad.
     pub home_rad: Joints,
     /// Contents of the arm's file that were not understood, for users.
     pub notes: Vec<String>,
@@ -74,7 +74,7 @@ pub struct SerialArm {
 /// The reason why joint values cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointError {
-    /// Not-a-number or infinite.
+    /// A value is not a number, or is infinite.
     #[error("{joint} is no finite angle")]
     NotFinite {
         /// Which.
@@ -85,19 +85,19 @@ pub enum JointError {
     BeyondLimit {
         /// Which.
         joint: String,
-        /// What was asked for.
+        /// The value that was requested.
         value_rad: f64,
         /// Least.
         low_rad: f64,
         /// Greatest.
         high_rad: f64,
-        /// Of all three: m where it slides.
+        /// Of all three values: in m for a sliding joint.
         unit: &'static str,
     },
 }
 
 impl ArmJoint {
-    /// How far it slides at most, either way; 0 where it turns.
+    /// The joint slides by at most this much in either direction; 0 for a joint that turns.
     fn slide_m(&self) -> f64 {
         let far_m = self.limit_rad.map_or(0.0, |(low, high)| low.abs().max(high.abs()));
         if self.slides { far_m } else { 0.0 }
@@ -165,8 +165,8 @@ impl SerialArm {
     }
 
     /// Returns the same pose with continuous joints close to their current angles, so that the path is short.
-    /// They never turn beyond one revolution in either direction,
-    /// where descriptions of such arms end (such as ros2_kortex's).
+    /// They never turn by more than one revolution in either direction,
+    /// because descriptions of such arms (for example ros2_kortex's) end there.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -184,10 +184,10 @@ impl SerialArm {
         self.link_poses(joints_rad)[JOINTS]
     }
 
-    /// Checks that all values are within the limits.
+    /// Checks whether all values are within the limits.
     ///
     /// # Errors
-    /// Names the first joint that is not within its limits.
+    /// The error names the first joint that is not within its limits.
     pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
         for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
             let name = || joint.name.clone();
@@ -207,7 +207,7 @@ impl SerialArm {
     /// Returns the limits with scaled speeds and accelerations (0 to 1; the paper uses 0.1 and 0.05).
     /// Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
-        // A missing joint never moves, but its limits must not be zero because of divisions.
+        // A missing joint never moves, but its limits must not be zero because they are used as divisors.
         let mut limits = JointLimits {
             velocity_rad_s: [1.0; JOINTS],
             acceleration_rad_s2: [1.0; JOINTS],
@@ -220,8 +220,8 @@ impl SerialArm {
         limits
     }
 
-    /// Returns the distance between the flange's position and the arm's reach
-    /// if its middle joints could stretch freely.
+    /// Returns the distance between the flange's position and the arm's reach,
+    /// if the arm's middle joints could stretch freely.
     /// At 0 or less, the position may be within reach.
     /// It also detects positions whose orientation turns the last link away.
     ///
@@ -229,14 +229,14 @@ impl SerialArm {
     /// The arm's base determines the circle of the second joint. A stretched chain is never longer than its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
-        // Of an arm that slides nobody says no before it was tried.
+        // For an arm with a sliding joint, no position is refused in advance.
         if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
-        // Reverses the flange's own offset, which determines the last joint's axis but not its angle.
+        // This reverses the flange's own offset, which determines the last joint's axis but not its angle.
         let last_turn = flange.rotation * self.flange_rotation.transpose();
         let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
-        // The last joint relative to the previous one, in the last joint's own axes.
+        // This is the last joint relative to the previous one, in the last joint's own axes.
         let link_m = last.origin_rotation.transpose() * last.origin_m;
         let (along_m, around_m) = along_and_around(link_m, last.axis);
         let hand_m = flange.position_m - offset_m - axis * along_m;
@@ -250,8 +250,8 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
-    /// an angle moves no point of the arm further than the angle times this. A joint that slides moves each point just as
+    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond the joint. A turn by
+    /// an angle moves no point of the arm further than the angle times this distance. A sliding joint moves each point exactly as
     /// far: 1.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
@@ -271,7 +271,7 @@ impl SerialArm {
     }
 }
 
-/// Returns a vector's component along a unit axis, and the length of the rest.
+/// Returns a vector's component along a unit axis, and the length of the perpendicular component.
 fn along_and_around(vector: DVec3, axis: DVec3) -> (f64, f64) {
     let along = vector.dot(axis);
     (along, (vector - along * axis).length())
@@ -345,10 +345,10 @@ mod tests {
         // Joint 2 has limits and does not change.
         (here[1], goal[1]) = (2.2, -2.2);
         assert_eq!(arm.unwound(&goal, &here)[1], -2.2);
-        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so it goes back instead.
+        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so the joint turns back instead.
         (here[0], goal[0]) = (6.0, 0.5);
         assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
-        // An arm that has already turned further is not wound up by this.
+        // An arm that has already turned further is not turned further by this.
         here[0] = 7.0;
         assert!((arm.unwound(&goal, &here)[0] - (TAU + 0.5)).abs() < 1e-12);
     }

@@ -46,7 +46,7 @@ impl ObjectTable {
     /// Checks that all values are valid.
     ///
     /// # Errors
-    /// What is wrong, by name.
+    /// The invalid value, given by its name.
     pub fn check(&self) -> Result<(), String> {
         let is_length = |m: f64| m.is_finite() && m > 0.0 && m <= 2.0;
         let sound = match (self.radius_m, self.size_m) {
@@ -113,7 +113,7 @@ impl ObjectTable {
         shapes
     }
 
-    /// As pictures show it.
+    /// Returns the object in the form that pictures show.
     pub fn picture(&self, at: Pose) -> SceneObject {
         SceneObject {
             name: self.name.clone(),
@@ -160,7 +160,7 @@ impl ObjectPose {
 pub struct Touch {
     /// The tool may touch this object.
     pub object: Option<usize>,
-    /// The held object may touch these boxes, which support it.
+    /// The held object may touch these boxes, which support it,
     pub boxes: Vec<usize>,
     /// and the floor.
     pub floor: bool,
@@ -169,11 +169,11 @@ pub struct Touch {
 /// The current state of the tool and the scene's objects.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Things {
-    /// Distance between the fingers. If it is `None`, the fingers count at all possible positions.
+    /// Distance between the fingers. If it is `None`, all positions of the fingers are checked.
     pub opening_m: Option<f64>,
     /// One entry per object of the scene.
     pub poses: Vec<ObjectPose>,
-    /// What may be touched now.
+    /// The contacts that are permitted now.
     pub touch: Touch,
 }
 
@@ -230,7 +230,7 @@ impl Shop<'_> {
     }
 
     /// The hand may touch the object, and a held object may touch its support.
-    /// These are with the object and, for a held object, with its support.
+    /// The permitted contacts are with the object and, for a held object, with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);

@@ -1,10 +1,10 @@
-//! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`): joints that turn or slide.
+//! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
-//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them, also those of links that are
-//! fixed to the arm beside its chain; so do meshes that [`crate::urdf_meshes`] could read. Of others the arm says so
-//! ([`SerialArm::notes`]): lines of a given radius stand for them, from a link's frame to the joints that begin there, or
-//! balls where none does; so they do for a moving link without any shape. What is fixed to a link takes nothing away from it.
-//! What moves beside the chain is not counted, and that is said.
+//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. This includes links that are
+//! fixed to the arm beside its chain, and all meshes that [`crate::urdf_meshes`] could read. Any other mesh is reported
+//! ([`SerialArm::notes`]) and replaced by lines of a given radius from its link's frame to the next joints, or by
+//! a ball if there is no next joint. A moving link without any shape is replaced in the same way. Fixed links only add shapes.
+//! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
@@ -14,7 +14,7 @@ use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
 use urdf_rs::{Joint, JointType, Robot};
 
-/// No lift or rail of an arm is longer; angles beyond it would be taken for whole turns elsewhere.
+/// No lift or rail of an arm is longer; angles beyond this value would count as whole turns elsewhere.
 const SLIDE_MAX_M: f64 = 3.0;
 
 /// Settings that a URDF file does not contain.
@@ -22,7 +22,7 @@ const SLIDE_MAX_M: f64 = 3.0;
 pub struct Missing {
     /// First link of the arm, whose frame is its base frame; `None` selects the robot's own first link.
     pub root: Option<String>,
-    /// Last link of the arm; `None` selects the only end.
+    /// Last link of the arm; `None` selects the only tip.
     pub tip: Option<String>,
     /// Radius around the bones of links without simple shapes.
     pub link_radius_m: f64,
@@ -33,7 +33,7 @@ pub struct Missing {
 }
 
 impl Missing {
-    /// As a scene says.
+    /// The options as a scene gives them.
     pub fn of(table: &ArmTable) -> Self {
         Missing {
             root: table.root.clone(),
@@ -51,7 +51,7 @@ pub enum UrdfError {
     /// It is no URDF.
     #[error("{0}")]
     Form(#[from] urdf_rs::UrdfError),
-    /// The file is valid, but for another kind of robot.
+    /// The file is valid, but describes another kind of robot.
     #[error("{0}")]
     Kind(String),
 }
@@ -183,7 +183,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     Ok(arm)
 }
 
-/// The joints from the root to the tip; the root's link, and the tip's.
+/// Returns the joints from the root to the tip, the root's link, and the tip's link.
 pub(crate) fn chain_of<'r>(
     robot: &'r Robot,
     missing: &Missing,
@@ -202,7 +202,7 @@ pub(crate) fn chain_of<'r>(
             (*tip).to_owned()
         }
     };
-    // From the tip back to the root.
+    // The joints are collected from the tip back to the root.
     let mut chain = Vec::new();
     let mut link = tip.as_str();
     let begins = |link: &str| missing.root.as_deref() == Some(link);
@@ -246,7 +246,7 @@ fn within_soft(joint: &Joint) -> (f64, f64) {
     }
 }
 
-/// Whether there are macros of xacro in it, outside its comments.
+/// Returns whether the text contains macros of xacro outside its comments.
 pub(crate) fn is_xacro(text: &str) -> bool {
     let mut rest = text;
     let mut live = String::new();
@@ -300,7 +300,7 @@ mod tests {
         text
     }
 
-    /// The same on a lift: its first joint slides down from its foot by 0.6 m.
+    /// The same arm on a lift: its first joint slides down from its foot by 0.6 m.
     fn lift_urdf() -> String {
         gen3_urdf().replacen("type=\"continuous\"", "type=\"prismatic\"", 1).replacen(
             "lower=\"0\" upper=\"0\" effort=\"9\" velocity=\"1.3963\"",
@@ -324,7 +324,7 @@ mod tests {
             let mut slid = joints;
             slid[0] += 0.1;
             let (one, two) = (arm.flange_pose(&joints), arm.flange_pose(&slid));
-            // The axis points down: the frame stands on its head.
+            // The axis points down, so the frame is upside down.
             assert!(two.position_m.abs_diff_eq(one.position_m - 0.1 * DVec3::Z, 1e-12));
             assert!(two.rotation.abs_diff_eq(one.rotation, 1e-12));
             let i = random.below(JOINTS);
@@ -358,7 +358,7 @@ mod tests {
         println!("{found} of 100 places found");
         assert!(found >= 95);
 
-        // Its foot hangs at 1.6 m; a bar before it, and poses below and above.
+        // The arm's foot hangs at 1.6 m, with a bar in front of it, and poses below and above.
         let scene = "[base]\nmount_m = [0.1, 0.0, 1.6]\n[[box]]\nname = \"bar\"\ncenter_m = [0.65, 0.0, 1.2]\nsize_m = [0.3, 1.0, 0.04]\n";
         let planner = Planner::new(arm, crate::scene::Scene::parse(scene).unwrap()).unwrap();
         let world = planner.world();
@@ -468,7 +468,7 @@ mod tests {
             .replace("<link name=\"link4\"/>", &format!("<link name=\"link4\">{mesh}{camera}</link>"))
             .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{camera}</link>"));
         let arm = parse(&text, &missing()).unwrap();
-        // In addition to its small box, link 4 keeps the bone for its mesh, and so does link 7.
+        // Link 4 keeps the line for its mesh in addition to its small box, and so does link 7.
         assert_eq!(arm.joints[3].shapes.len(), 2);
         assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
         assert_eq!(arm.joints[6].shapes.len(), 2);
@@ -500,7 +500,7 @@ mod tests {
         let ball = |at: [f64; 3]| Capsule { a_m: at.into(), ..line(at) };
         // The root's mesh becomes lines to the first joint and to its fixed link, whose own mesh becomes a ball.
         assert_eq!(arm.foot, [line([0.0, 0.0, 0.15643]), line([0.0, 0.1, 0.0]), ball([0.0, 0.1, 0.0])]);
-        // Link 2 has no shape of its own, so it has a line; then follow the mast, and the lamp on it.
+        // Link 2 has no shape of its own, so it has a line. The mast and its lamp follow.
         let [own, mast, lamp] = arm.joints[1].shapes.as_slice() else { panic!("{:?}", arm.joints[1].shapes) };
         assert!((own.b_m.length() - 0.2105).abs() < 1e-3);
         let half_m = mast.a_m.distance(mast.b_m) / 2.0;

@@ -1,4 +1,4 @@
-//! Shapes of a URDF's links in the arm's chain, and of all links fixed beside it.
+//! Shapes of the links in a URDF arm's chain, and of all links fixed beside it.
 
 use crate::solid::Solid;
 use host_robot::shape::Capsule;
@@ -34,8 +34,8 @@ impl<'r> Shapes<'r> {
         !own.is_empty() && !own.iter().any(is_mesh)
     }
 
-    /// Shapes of a link of the chain whose frame is there, and of what is fixed to it beside the chain. A line along the chain
-    /// stands for meshes of a link that `moves` anyway.
+    /// Returns shapes of a chain's link at this frame, and of all links fixed to it beside the chain. A line along the chain
+    /// replaces the meshes of a link that `moves` in any case.
     pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> (Vec<Capsule>, Vec<Solid>) {
         let mut found = Found::default();
         self.collect(link, here, moves, &mut found);
@@ -111,16 +111,16 @@ fn is_mesh(collision: &Collision) -> bool {
     matches!(&collision.geometry, Geometry::Mesh { filename, .. } if hull_points(filename).is_none())
 }
 
-/// Instead of a mesh's file: the corners of its hull themselves.
+/// The corners of the hull, which replace the file name of a mesh.
 pub const HULL: &str = "hull:";
 
-/// A hull's corners as they stand in a URDF.
+/// Writes the corners of a hull in the form used in a URDF.
 pub fn hull_name(points: &[DVec3]) -> String {
     let corners: Vec<String> = points.iter().map(|p| format!("{} {} {}", p.x, p.y, p.z)).collect();
     format!("{HULL}{}", corners.join(","))
 }
 
-/// Its corners; `None` if there is something else than finite numbers.
+/// Reads the corners; returns `None` unless all of them are finite numbers.
 pub fn hull_points(name: &str) -> Option<Vec<DVec3>> {
     let corner = |text: &str| {
         let mut numbers = text.split(' ').map(|word| word.parse::<f64>().ok().filter(|n| n.is_finite()));

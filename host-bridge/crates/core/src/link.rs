@@ -3,7 +3,7 @@
 //! ```text
 //! bytes ──► Decoder ──► hello?  version, side, boot id ──► Started (re-bases everything below)
 //!                  └──► state?  sequence: newer than all before?  clock: how old?
-//!                               counters: what is new in it? ──────► Left / Right
+//!                               counters: which events in it are new? ──────► Left / Right
 //! ```
 //! States before the first hello, repeated states and overtaken states are counted and dropped here.
 //! [`crate::safety`] decides on the maximum age, because even a late state can stop the robot.
@@ -47,7 +47,7 @@ pub struct Identity {
     pub board: String,
     /// Version of its firmware.
     pub firmware: String,
-    /// A number that differs after each start.
+    /// A number that is different after each start.
     pub boot_id: u32,
     /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
@@ -145,7 +145,7 @@ pub struct LinkCounters {
     pub misdirected: u32,
 }
 
-/// The receiving end of one hand's link.
+/// The receiving side of one hand's link.
 #[derive(Clone, Debug)]
 pub struct HandLink {
     hand: Hand,
@@ -220,7 +220,7 @@ impl HandLink {
         self.about.map(|about| about.battery_mv).filter(|&mv| mv > 0)
     }
 
-    /// Returns the statistics of all frames so far.
+    /// Returns the statistics of all frames received so far.
     pub fn counters(&self) -> LinkCounters {
         let Counters { frames, unknown, malformed, .. } = self.decoder.counters();
         LinkCounters {
@@ -357,7 +357,7 @@ impl HandLink {
             sample_hz: hello.sample_hz,
         };
         self.clock.rebase();
-        // Answers from before the board's restart refer to another clock.
+        // Answers sent before the board's restart refer to another clock.
         self.pings.clear();
         self.round_trip = None;
         if let Some((_, sent_ms)) = &mut self.pinged {
@@ -460,13 +460,13 @@ impl HandLink {
     }
 }
 
-/// Returns the latest time on the laptop's clock for a time on a board's clock.
+/// Returns the latest possible time on the laptop's clock for a time on a board's clock.
 fn with_drift(board_ms: u64) -> u64 {
     board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
 }
 
 /// Removes characters from a board's text that a terminal would interpret.
-/// These are control characters, and characters that change the direction of writing.
+/// These are control characters and characters that change the writing direction.
 pub fn printable(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control()

@@ -42,7 +42,7 @@ impl Tilts {
     }
 
     /// Returns the smallest tilt per axis, or zero if their signs differ.
-    /// The base therefore slows down immediately when the hand returns.
+    /// The base therefore slows down as soon as the hand returns towards neutral.
     pub fn meant(&self) -> Tilt {
         let least = |of: fn(&Tilt) -> i16| {
             let [first, rest @ ..] = self.0.each_ref().map(of);

@@ -40,7 +40,7 @@ struct World {
     pings: VecDeque<(u64, u32)>,
     state: LeftState,
     boot_id: u32,
-    /// The board's clock minus the test's.
+    /// The difference between the board's clock and the test's clock.
     board_ahead_ms: u32,
     sampled_ms: u64,
     heading: Heading,
@@ -209,7 +209,7 @@ impl World {
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
-            // Preceding noise may have destroyed it.
+            // Noise before the frame may have destroyed it.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
                 // An overtaken state has no effect.

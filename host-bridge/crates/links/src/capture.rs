@@ -21,18 +21,18 @@ pub struct Collector {
 /// The reason why a recording cannot continue, with a remedy in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CaptureProblem {
-    /// Samples are missing, so the data before and after the gap is not continuous.
+    /// Samples are missing, so the data before and after the gap are not continuous.
     #[error("{missing} samples are missing after {after_ms} ms; check the cable and record again")]
     Gap {
         /// How many.
         missing: u32,
-        /// Where, from the start.
+        /// Position of the gap, counted from the start.
         after_ms: u64,
     },
     /// The number of samples decreased, so the board has restarted.
     #[error("the board restarted after {after_ms} ms; check its power and record again")]
     Restart {
-        /// When, from the start.
+        /// Time of the restart, counted from the start.
         after_ms: u64,
     },
     /// The board changed its number of axes during the recording.
@@ -46,12 +46,12 @@ pub enum CaptureProblem {
 }
 
 impl Collector {
-    /// Creates a collector for `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this sampling rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         Collector { wanted, sample_hz, axes: None, values: Vec::new(), next_sample: 0, clipped: 0 }
     }
 
-    /// Adds a batch. Returns true if there are enough samples.
+    /// Adds a batch of samples. Returns true if there are enough samples.
     ///
     /// # Errors
     /// [`CaptureProblem`] if the batch does not continue the previous one.
@@ -130,7 +130,7 @@ pub struct LeftCollector {
 }
 
 impl LeftCollector {
-    /// Creates a collector for `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this sampling rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         let period_ms = 1000 / u32::from(sample_hz.clamp(1, 1000));
         LeftCollector { wanted, period_ms, first_ms: 0, samples: Vec::new() }
@@ -192,7 +192,7 @@ impl LeftCollector {
     }
 }
 
-/// Draws values as a line of bars, from `least` to `most`.
+/// Draws values as a line of bars, scaled from `least` to `most`.
 pub fn sparkline(values: &[f32], least: f32, most: f32) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let bar = |value: &f32| {

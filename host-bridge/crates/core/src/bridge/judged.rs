@@ -9,7 +9,7 @@ pub(super) fn without_figures(text: &str) -> impl Iterator<Item = char> {
     text.chars().filter(|c| !c.is_ascii_digit())
 }
 
-/// Returns the command of a heading for the base; neutral and between have the same command.
+/// Returns the command of a heading for the base; neutral and intermediate headings have the same command.
 pub(super) fn command(heading: Heading) -> Heading {
     if heading == Heading::Between { Heading::Neutral } else { heading }
 }

@@ -60,17 +60,17 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ends to refuse motion (its e-stop, a fault, clocks apart).
+    /// The robot itself begins or ceases to refuse motion (because of its e-stop, a fault, or clocks that differ).
     Robot {
         /// It refuses.
         refuses: bool,
     },
-    /// The clutch: the left hand is lent to the arm, or taken back. Only somebody armed can lend it.
+    /// The clutch lends the left hand to the arm, or returns it to the base. Lending requires the armed state.
     Clutch {
         /// It is lent.
         lends: bool,
     },
-    /// The operator's stop: a key, a button.
+    /// The operator's stop, by a key or a button.
     StopKey,
     /// The operator pressed and confirmed the release key. It counts only if no right hand is connected.
     ReleaseKey,
@@ -92,9 +92,9 @@ pub enum HaltReason {
     Restart(Hand),
     /// The robot itself refuses to move.
     RobotRefuses,
-    /// The left hand is lent to the arm, or taken back.
+    /// The left hand is lent to the arm, or returned to the base.
     Clutch,
-    /// The left hand moves the arm, and the right one does not rest.
+    /// The left hand moves the arm, and the right hand does not rest.
     NotAtRest,
 }
 
@@ -106,11 +106,11 @@ pub enum Ignored {
     LateState(Hand),
     /// The gesture's window ended more than 250 ms ago.
     LateGesture,
-    /// A gesture while not armed.
+    /// The gesture arrived while not armed.
     GestureWhileNotArmed,
     /// One state contains more bends than fingers can make in that time.
     ImpossibleBends,
-    /// Bends while not armed.
+    /// The bends arrived while not armed.
     BendsWhileNotArmed,
     /// The release key was pressed while a right hand is connected, or before 1 s of neutral.
     ReleaseKey,
@@ -119,15 +119,15 @@ pub enum Ignored {
 /// Actions of the bridge, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
-    /// Bring base and arm to rest.
+    /// Bring base and arm to rest within their limits.
     Halt(HaltReason),
     /// Reset both caps to their initial value.
     ResetCaps,
     /// The state changed.
     Entered(State),
-    /// The stop is over. This alone moves nothing.
+    /// The stop is over. This alone starts no motion.
     Released,
-    /// The left hand is lent to the arm, or (false) taken back. That alone moves nothing.
+    /// The left hand is lent to the arm, or (false) returned to the base. This alone starts no motion.
     Lent(bool),
     /// These bends count.
     Bends {

@@ -60,7 +60,7 @@ pub enum ModelFileError {
     Labels {
         /// The model.
         name: String,
-        /// How long they are.
+        /// The combined length of the labels.
         length: usize,
     },
     /// A recording cannot be used.
@@ -76,9 +76,9 @@ pub enum ModelFileError {
         file: PathBuf,
         /// The first missing column, counted from 1.
         column: usize,
-        /// Axes of the recording.
+        /// Number of axes in the recording.
         recording: usize,
-        /// Axes of the model.
+        /// Number of axes that the model needs.
         model: usize,
     },
 }
@@ -237,7 +237,7 @@ pub struct Joined {
 
 /// The board's code for any number of axes.
 trait AnyAxes: Send {
-    /// Processes the sample of `time_ms`, which has the axes of the model.
+    /// Processes the sample taken at `time_ms`, which has the axes of the model.
     fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
     /// Reports that there is no sample at this time.
     fn nothing(&mut self);

@@ -363,7 +363,7 @@ fn unbonded(Seen { name, address, .. }: &Seen) -> String {
     )
 }
 
-/// The boards that this machine is bonded with, according to the system.
+/// Returns the boards that are bonded with this machine, according to the system.
 #[cfg(target_os = "linux")]
 struct Bonds(bluez_async::BluetoothSession);
 
@@ -418,7 +418,7 @@ impl Seen {
     }
 }
 
-/// Of several boards the highest one is taken: a bonded one however far, then the loudest.
+/// The board with the highest rank is chosen: bonded boards come first, then the strongest signal.
 fn rank(is_bonded: bool, rssi_dbm: Option<i16>) -> (bool, Option<i16>) {
     (is_bonded, rssi_dbm)
 }

@@ -29,7 +29,7 @@ pub trait Clock: Send + Sync {
 /// The time since this clock was created, based on the machine's time since boot.
 ///
 /// On Linux, `std::time::Instant` stops while the machine is suspended.
-/// After an hour of sleep, every hand would then look as recent as before.
+/// After an hour of sleep, every hand would then seem as recent as before.
 /// This clock continues during suspend, so a sleeping laptop is noticed like any other silence.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
@@ -40,7 +40,7 @@ pub struct SystemClock {
 }
 
 impl SystemClock {
-    /// A clock that shows 0 now.
+    /// Creates a clock that shows 0 now.
     pub fn start() -> Self {
         SystemClock {
             start_ms: since_boot_ms(),

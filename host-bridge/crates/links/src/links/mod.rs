@@ -22,7 +22,7 @@ pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
 
-/// Returns whether this name (`ble` or `ble:NAME`) is a board behind Bluetooth.
+/// Returns whether this name (`ble` or `ble:NAME`) denotes a board behind Bluetooth.
 pub fn is_ble(port: &str) -> bool {
     port == "ble" || port.starts_with("ble:")
 }
@@ -35,7 +35,7 @@ pub fn is_serial_over_air(port: &str) -> bool {
 
 /// A link to a board of any kind. Dropping it closes it.
 pub enum Link {
-    /// A serial port of a USB-serial chip or of the board's own USB.
+    /// A serial port, either of a USB-serial chip or of the board's own USB.
     Serial(SerialLink),
     /// Bluetooth.
     #[cfg(feature = "ble")]
@@ -67,7 +67,7 @@ impl Link {
         }
     }
 
-    /// May bytes be sent now?
+    /// Returns whether bytes can be sent now.
     pub fn is_ready(&self) -> bool {
         match self {
             Link::Serial(link) => link.is_ready(),

@@ -50,7 +50,7 @@ fn size<I>(event: &LinkEvent<I>) -> usize {
     if let News::Bytes(bytes) = &event.news { bytes.len() } else { 0 }
 }
 
-/// The sending end. Each link has its own.
+/// The sending side of the queue. Each link has its own.
 pub struct EventSender<I>(Arc<Shared<I>>);
 
 impl<I> EventSender<I> {
@@ -84,7 +84,7 @@ impl<I> Drop for EventSender<I> {
     }
 }
 
-/// The receiving end, used by the control thread.
+/// The receiving side of the queue, used by the control thread.
 pub struct EventReceiver<I>(Arc<Shared<I>>);
 
 impl<I> EventReceiver<I> {

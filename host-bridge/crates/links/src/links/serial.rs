@@ -36,13 +36,13 @@ pub struct SerialSettings {
 }
 
 impl Default for SerialSettings {
-    /// The boards' 115200 baud, and the maximum time of an old Nano bootloader.
+    /// The boards' 115200 baud, and the maximum waiting time of an old Nano bootloader.
     fn default() -> Self {
         SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false }
     }
 }
 
-/// The sending end, and the known state of the other side.
+/// The sending side, and the known state of the board.
 #[derive(Default)]
 struct Sending {
     port: Option<Box<dyn SerialPort>>,

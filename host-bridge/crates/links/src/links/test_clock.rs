@@ -124,7 +124,7 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// Waits until this much time has passed, at least a millisecond.
+    /// Waits until this much time has passed, but at least for a millisecond.
     pub fn sleep(&self, time: Duration) {
         let until_ms = self.clock.now_ms() + (time.as_millis() as u64).max(1);
         self.wait(until_ms);
