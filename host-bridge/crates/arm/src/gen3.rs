@@ -85,7 +85,7 @@ type Ends = ([f64; 3], [f64; 3], f64);
 
 /// Capsules that enclose the arm's fixed base (first) and the link of each joint, in the link's own frame, in m.
 ///
-/// Each capsule is the smallest around all vertices of the link's mesh in kortex_description (bracelet without vision module),
+/// Each capsule is the smallest around all vertices of the link's kortex_description mesh (without vision module),
 /// plus 0.4 mm. A capsule is convex, so it also encloses the mesh. `tests/arm_hulls.rs` checks this for some vertices.
 const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),

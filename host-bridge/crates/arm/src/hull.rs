@@ -4,7 +4,7 @@
 //! [`JOGGLE`] of the points' extent, so that no three of them lie on a line and no four in a plane. This error is
 //! far smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
-//! One capsule around a box, or around a link that is thick on one side, would be far too thick. A hull is therefore cut by
+//! One capsule around a box, or around a link that is thick on one side, would be too thick. A hull is therefore cut by
 //! planes as long as the capsules then protrude less. Each piece is convex, so its capsule encloses it completely.
 
 use std::collections::BTreeMap;

@@ -65,7 +65,7 @@ pub enum Unreachable {
     NotFound {
         /// Distance between the best attempt and the goal.
         position_mm: f64,
-        /// Its wrong turn.
+        /// The angle between the best attempt's orientation and the goal's.
         angle_mrad: f64,
         /// The work that the search took: steps,
         steps: usize,

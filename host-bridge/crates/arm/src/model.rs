@@ -250,8 +250,8 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond the joint. A turn by
-    /// an angle moves no point of the arm further than the angle times this distance. A sliding joint moves each point exactly as
+    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it. A turn by
+    /// an angle moves no point further than the angle times this distance. A sliding joint moves each point exactly as
     /// far: 1.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)

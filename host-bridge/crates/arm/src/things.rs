@@ -160,9 +160,9 @@ impl ObjectPose {
 pub struct Touch {
     /// The tool may touch this object.
     pub object: Option<usize>,
-    /// The held object may touch these boxes, which support it,
+    /// The held object may touch these boxes, which support it.
     pub boxes: Vec<usize>,
-    /// and the floor.
+    /// The held object may touch the floor.
     pub floor: bool,
 }
 

@@ -1,9 +1,9 @@
 //! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
-//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. This includes links that are
-//! fixed to the arm beside its chain, and all meshes that [`crate::urdf_meshes`] could read. Any other mesh is reported
+//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. This includes links
+//! fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read. Other meshes are reported
 //! ([`SerialArm::notes`]) and replaced by lines of a given radius from its link's frame to the next joints, or by
-//! a ball if there is no next joint. A moving link without any shape is replaced in the same way. Fixed links only add shapes.
+//! a ball if there is no next joint, and so is a moving link without any shape. Fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};
@@ -226,7 +226,7 @@ pub(crate) fn chain_of<'r>(
     Ok((chain, root, tip))
 }
 
-/// A capsule to the next joint, in addition to what was read.
+/// Adds a capsule that reaches to the next joint to the shapes that were read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
         let line = Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m };

@@ -1,6 +1,6 @@
 //! Replaces the meshes of a URDF by convex hulls (feature `urdf`).
 //!
-//! The corners of the hulls are written into the URDF itself, in place of the file names. It is then self-contained: a
+//! The corners of the hulls are written into the URDF itself, in place of the file names. The URDF is then complete: a
 //! recorded session needs no mesh.
 
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ pub struct Alone {
     pub notes: Vec<String>,
 }
 
-/// Replaces the meshes of the arm's links, and of everything fixed to them, by hulls. `read` returns a mesh by its name in
+/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls. `read` returns a mesh by its
 /// the file, or the reason why it cannot be read. Such a mesh stays in the file, and the notes name it.
 ///
 /// # Errors

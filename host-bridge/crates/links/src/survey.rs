@@ -26,7 +26,7 @@ impl Survey {
         }
     }
 
-    /// A ping came back.
+    /// Reports that a ping was answered.
     pub fn round_trip(&mut self, ms: u64) {
         self.round_trips_ms.push(ms);
     }

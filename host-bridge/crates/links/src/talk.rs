@@ -35,11 +35,11 @@ pub enum Said {
     About(About),
     /// A left state.
     Left(LeftState),
-    /// A right state: sequence number, board time, label of the last event, number of events.
+    /// A right state: sequence number, board time, label of the last event, and number of events.
     Right {
         /// A number that increases with each state.
         sequence: u16,
-        /// Board clock at the newest sample.
+        /// Time of the newest sample on the board's clock.
         board_time_ms: u32,
         /// Gestures so far.
         events: u8,
@@ -88,9 +88,9 @@ pub struct ModelNeeds {
     pub model_id: u32,
     /// How features are made.
     pub recipe: u8,
-    /// Values per sample that the model needs.
+    /// Number of values per sample that the model needs.
     pub axes: u8,
-    /// Values per sample of the board; the same as the model's if the board does not report them.
+    /// Number of values per sample of the board; equal to the model's if the board does not report it.
     pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -100,7 +100,7 @@ pub struct ModelNeeds {
     pub labels: Vec<String>,
 }
 
-/// Raw samples as sent.
+/// Raw samples in the form in which they were sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawBatch {
     /// Number of the first sample since the board's start.
@@ -135,7 +135,7 @@ pub enum TalkError {
     Text {
         /// The port.
         port: String,
-        /// The end of the received text.
+        /// The last part of the received text.
         text: String,
     },
     /// There is a board that this program cannot use.
@@ -463,7 +463,7 @@ impl TextHeard {
         self.last.drain(..beyond);
     }
 
-    /// Returns the end of the received data, if the data is text.
+    /// Returns the last part of the received data, if the data is text.
     fn line(&self) -> Option<String> {
         (!self.frames && self.last.len() >= Self::LEAST)
             .then(|| String::from_utf8_lossy(&self.last).into_owned())

@@ -31,7 +31,7 @@ pub struct BaseConfig {
     pub wheel_radius_m: f64,
     /// Distance between the wheels' contact points.
     pub track_m: f64,
-    /// Fastest wheel speed.
+    /// Maximum speed of a wheel.
     pub wheel_speed_max_rad_s: f64,
     /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
@@ -42,7 +42,7 @@ pub struct BaseConfig {
 impl Default for BaseConfig {
     /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim,
     /// which suffices for the largest cap (1.0 m/s).
-    /// After a metre, the standard deviation of their distance is 1 cm.
+    /// After one metre, the standard deviation of a wheel's distance is 1 cm.
     fn default() -> Self {
         BaseConfig {
             wheel_radius_m: 0.1,
@@ -81,9 +81,9 @@ impl BaseConfig {
 /// The position of the base, estimated from its wheels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Odometry {
-    /// Forward of the start, in m.
+    /// Distance in front of the start, in m.
     pub x_m: f64,
-    /// Left of the start, in m.
+    /// Distance to the left of the start, in m.
     pub y_m: f64,
     /// Rotation to the left since the start in rad, not wrapped.
     pub heading_rad: f64,
@@ -239,7 +239,7 @@ impl Odometry {
     pub fn advance(&mut self, twist: Twist, dt_s: f64) {
         let half_turn = 0.5 * twist.angular_rad_s * dt_s;
         let arc_m = twist.linear_m_s * dt_s;
-        // The chord is shorter than the arc by sin(α/2)/(α/2), and its direction is that of half the turn.
+        // The chord is shorter than the arc by the factor sin(α/2)/(α/2), and points in the direction of half the turn.
         let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
         let direction = self.heading_rad + half_turn;
         self.x_m += chord_m * direction.cos();

@@ -15,11 +15,11 @@ use crate::trajectory::Trajectory;
 pub struct Reading<T> {
     /// What it reports.
     pub value: T,
-    /// Time since the measurement, or since arrival if the robot sends no time stamp.
+    /// Time since the measurement, or since arrival if the robot sends no stamp.
     pub age_ms: u64,
 }
 
-/// The state of the base, as it reports it.
+/// The state of the base, as reported by the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BaseState {
     /// Position and speed of the base.
@@ -35,7 +35,7 @@ pub struct BaseState {
 pub struct Wheels {
     /// Speeds in rad/s.
     pub speed_rad_s: [f64; 2],
-    /// Angles turned since the start in rad.
+    /// Angles turned since the start, in rad.
     pub angle_rad: [f64; 2],
 }
 
@@ -125,31 +125,31 @@ pub trait Robot {
     /// The reason why it does not follow or grip. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
-    /// How far ahead of now a trajectory under way can be continued otherwise; see [`Robot::follow_on`].
+    /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
     ///
     /// # Errors
-    /// Why it cannot, and what to do.
+    /// The reason why it cannot be changed, with a remedy.
     fn ahead_ms(&self) -> Result<u64, String> {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
 
-    /// Continues the trajectory that is followed otherwise: up to `from_s` of its own time, which is at least
-    /// [`Robot::ahead_ms`] from now, the new one is the same. It ends at rest, so that whoever falls silent after this leaves
-    /// an arm that comes to rest.
+    /// Changes the rest of the running trajectory. Up to `from_s` of its own time, which is at least
+    /// [`Robot::ahead_ms`] from now, the new trajectory must equal the old one. It ends at rest, so that the arm also
+    /// comes to rest if no further call follows.
     ///
     /// # Errors
-    /// Why not; the arm goes on as before.
+    /// The reason why it cannot be changed. The arm then continues as before.
     fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
         self.ahead_ms().map(|_| ())
     }
 
-    /// What the arm does with its trajectory.
+    /// Returns the arm's progress on its trajectory.
     fn following(&self) -> Following;
 
     /// Returns the result of the last trajectory, once per trajectory.
     fn take_end(&mut self) -> Option<End>;
 
-    /// Brings the arm to rest within its limits and abandons its trajectory.
+    /// Brings the arm to rest within its limits, and abandons its trajectory.
     fn halt_arm(&mut self);
 
     /// Brings base, arm and gripper to rest within their limits.
@@ -189,7 +189,7 @@ pub trait Robot {
         0
     }
 
-    /// Returns how often the robot had to stop by itself, as far as known.
+    /// Returns the number of times the robot had to stop by itself, as far as known.
     fn timeouts(&self) -> u32 {
         0
     }

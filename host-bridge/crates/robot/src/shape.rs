@@ -1,7 +1,7 @@
-//! Distances between the shapes of robot and scene: capsules, upright boxes and the floor.
+//! Distances between the shapes of robot and scene, which are capsules, upright boxes and the floor.
 //!
 //! Both pairs of shapes that occur have an exact solution without iteration.
-//! A distance takes some tens of nanoseconds and is equal on every machine.
+//! A distance takes some tens of nanoseconds, and the result is equal on every machine.
 //! A general collision library (parry3d) would add some 30 crates for two functions.
 //! Instead, `tests/mujoco/check.py` compares these functions with an independent engine.
 
@@ -13,7 +13,7 @@ use crate::pose::Pose;
 /// A point or a direction in metres.
 pub type Point = DVec3;
 
-/// All points closer than `radius_m` to the line from `a_m` to `b_m`. The ends of a sphere are equal.
+/// All points closer than `radius_m` to the line from `a_m` to `b_m`. For a sphere, both ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Capsule {
     /// One end of the centre line.

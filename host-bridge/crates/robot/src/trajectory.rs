@@ -24,7 +24,7 @@ struct Piece {
 }
 
 impl Piece {
-    /// Returns the motion at `time_s` after the start of the piece.
+    /// Returns the motion at `time_s` after the piece's start.
     fn at(&self, time_s: f64) -> Motion {
         let t = time_s.clamp(0.0, self.duration_s);
         let (from, jerk) = (&self.from, &self.jerk_rad_s3);
@@ -70,7 +70,7 @@ fn most(of: &Joints, limits: &Joints) -> f64 {
     (0..JOINTS).map(|i| of[i].abs() / limits[i]).fold(0.0, f64::max)
 }
 
-/// A change of speed whose acceleration rises, stays constant, and falls symmetrically.
+/// A change of speed whose acceleration rises, stays constant, and falls, symmetrically in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Ramp {
     duration_s: f64,
@@ -126,8 +126,8 @@ impl Trajectory {
         Trajectory::ending_at(joints_rad)
     }
 
-    /// The same up to `at_s`; from there on `for_s` seconds in which the acceleration goes to this one (at a constant jerk, or
-    /// at once if jerk is not limited), and then braking to rest. What lies more than `keep_s` before `at_s` is forgotten.
+    /// Returns this motion up to `at_s`. Then the acceleration changes to the given one within `for_s` seconds (at constant
+    /// jerk, or at once without a jerk limit), and the arm brakes to rest. Parts more than `keep_s` before `at_s` are dropped.
     #[must_use]
     pub fn continued(
         &self,
@@ -146,7 +146,7 @@ impl Trajectory {
             last.duration_s = last.duration_s.min(at_s - last.start_s);
         }
         next.duration_s = at_s.min(self.duration_s);
-        // It may have been at rest for a while by then.
+        // The arm may have been at rest for a while by then.
         next.push(Motion::at_rest(self.to_rad), [0.0; JOINTS], at_s - next.duration_s);
         next.duration_s = at_s;
         let change = minus(acceleration_rad_s2, &from.acceleration_rad_s2);
@@ -160,7 +160,7 @@ impl Trajectory {
         next.then(&Trajectory::braking(here, limits))
     }
 
-    /// Brakes from motion as fast as the limits allow, all joints together, straight on.
+    /// Brakes from motion as fast as the limits allow, with all joints together, in a straight line.
     ///
     /// With a jerk limit, the current acceleration must first be reduced.
     /// On a straight segment, this is done in minimum time.
@@ -198,7 +198,7 @@ impl Trajectory {
         // This is the loss (or gain) of speed while the acceleration goes to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
-            // This is the end of a ramp to rest. If the loss exceeds the speed, the joints would reverse.
+            // This is the end of a ramp to rest. If the loss exceeded the speed, the joints would reverse.
             if released < 1.0 + 1e-6 {
                 let duration_s = -2.0 / gain;
                 self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
@@ -280,7 +280,7 @@ impl Trajectory {
         piece.at(duration_s)
     }
 
-    /// Seconds until rest.
+    /// Returns the time until rest in s.
     pub fn duration_s(&self) -> f64 {
         self.duration_s
     }
@@ -322,7 +322,7 @@ impl Trajectory {
         fastest
     }
 
-    /// Returns the times at which jerk or acceleration change, and the end.
+    /// Returns the times at which jerk or acceleration changes, and the end.
     pub fn knots_s(&self) -> Vec<f64> {
         let starts = self.pieces.iter().map(|piece| piece.start_s).filter(|&start_s| start_s > 0.0);
         starts.chain([self.duration_s]).collect()
@@ -344,7 +344,7 @@ fn blends(velocities: &[Joints], limits: &JointLimits) -> Vec<Ramp> {
         .collect()
 }
 
-/// Returns the maximum speeds in segments per second that respect the limits of joints and blends.
+/// Returns the maximum speeds, in segments per second, that respect the limits of joints and blends.
 fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     let top: Vec<f64> = ways.iter().map(|way| 1.0 / most(way, &limits.velocity_rad_s)).collect();
     // Blends must not overlap.
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
+    #[allow(clippy::approx_constant)] // Kinova's file has 3.14, too.
     fn kinovas_own_poses_take_the_times_of_moveit() {
         // These figures are from MoveIt's time parameterisation at scaling 0.1 and 0.05.
         let limits = paper_limits();
@@ -494,7 +494,7 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
+            // The values are from Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s
@@ -525,7 +525,7 @@ mod tests {
             let halt_s = when * plan.duration_s();
             let halted = plan.motion(halt_s);
             let halting = Trajectory::braking(halted, &limits);
-            // The time to reduce and build up an acceleration, twice each, and to brake in between.
+            // The time to reduce and to build up an acceleration, twice each, and to brake in between.
             let rise_s = 0.43 / jerk;
             let even_s = 0.1397 / 0.43;
             prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));

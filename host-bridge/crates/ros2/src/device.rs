@@ -1,6 +1,6 @@
 //! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
-//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks,
+//! RustDDS binds its listeners to 0.0.0.0, whatever networks are chosen,
 //! so anyone who can reach this machine can send to them.
 //! On Linux, a socket can be bound to a device later. On other systems this is not possible, and it is reported.
 

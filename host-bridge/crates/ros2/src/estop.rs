@@ -24,9 +24,9 @@ struct Word {
 struct Input {
     /// For people.
     what: &'static str,
-    /// Its key in `[ros2]`.
+    /// The key of the flag in `[ros2]`.
     key: &'static str,
-    /// With its namespace.
+    /// The topic with its namespace.
     topic: String,
     timeout_ms: u64,
     writers: BTreeSet<String>,
@@ -62,7 +62,7 @@ impl Inputs {
         self.inputs.iter().map(|input| input.topic.as_str())
     }
 
-    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer does.
+    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer requires it.
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {

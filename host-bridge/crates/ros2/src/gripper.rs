@@ -2,7 +2,7 @@
 //!
 //! This module is sans-IO. A stall while closing means an object between the fingers, which is success.
 //! A server without a report for too long has failed.
-//! A stop cancels the goal repeatedly until its end is known, and never sends another goal.
+//! After a stop, the goal is cancelled repeatedly until its end is known, and no other goal is sent.
 //! Goals that were rejected or reported as finished are cancelled again by each stop, like those of the arm.
 
 use host_robot::{Grip, GripEnd, Reading};
@@ -38,7 +38,7 @@ pub enum GripAnswer {
         stalled: bool,
         /// Whether the requested position was reached.
         reached: bool,
-        /// The status in the server's terms.
+        /// The status in the server's own terms.
         status: String,
     },
 }

@@ -2,7 +2,7 @@
 
 /// Repetition interval of cancellation requests.
 pub const CANCEL_INTERVAL_MS: u64 = 200;
-/// More are not remembered.
+/// Maximum number of goals that are remembered.
 const STRAYS_MAX: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
@@ -73,7 +73,7 @@ impl Unsure {
         self.0.push((goal, until_ms));
     }
 
-    /// Processes a stop: `cancel` requests the cancellation of each, which is a stray from now on.
+    /// Processes a stop: `cancel` requests the cancellation of each goal, which counts as a stray from now on.
     pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
         for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
             cancel(goal);

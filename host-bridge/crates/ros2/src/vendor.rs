@@ -6,18 +6,18 @@
 
 use std::fmt;
 
-/// Who made a participant's middleware.
+/// The vendor of a participant's middleware.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Vendor(pub [u8; 2]);
 
 impl Vendor {
-    /// eProsima Fast DDS, under `rmw_fastrtps_cpp`: the default of Jazzy, Kilted and Lyrical.
+    /// eProsima Fast DDS, used by `rmw_fastrtps_cpp`: the default of Jazzy, Kilted and Lyrical.
     pub const FAST_DDS: Vendor = Vendor([0x01, 0x0F]);
-    /// Eclipse Cyclone DDS, under `rmw_cyclonedds_cpp`.
+    /// Eclipse Cyclone DDS, used by `rmw_cyclonedds_cpp`.
     pub const CYCLONE_DDS: Vendor = Vendor([0x01, 0x10]);
-    /// RTI Connext, under `rmw_connextdds`.
+    /// RTI Connext, used by `rmw_connextdds`.
     pub const CONNEXT: Vendor = Vendor([0x01, 0x01]);
-    /// No DDS: a session of Zenoh. Not assigned to anybody.
+    /// A session of Zenoh instead of DDS. This id is not assigned to any vendor.
     pub const ZENOH: Vendor = Vendor([0xFF, 0x5A]);
     /// RustDDS, as here.
     pub const RUST_DDS: Vendor = Vendor([0x01, 0x12]);
@@ -46,12 +46,12 @@ impl fmt::Display for Vendor {
     }
 }
 
-/// The identification of requests and replies.
+/// The form in which requests and replies are identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wrapping {
-    /// In 16 bytes before the message (`rmw_cyclonedds_cpp`).
+    /// The id is in 16 bytes before the message (`rmw_cyclonedds_cpp`).
     Cyclone,
-    /// In the data's inline quality of service, according to DDS-RPC's enhanced mapping (`rmw_fastrtps_cpp`
+    /// The id is in the data's inline quality of service, as in DDS-RPC's enhanced mapping (`rmw_fastrtps_cpp`
     /// and `rmw_connextdds`).
     Rpc,
 }

@@ -21,7 +21,7 @@ pub struct Diagnostics {
 }
 
 impl Diagnostics {
-    /// Takes what happened.
+    /// Processes an event of the session.
     pub fn note(&mut self, event: &BridgeEvent) {
         match &event.kind {
             EventKind::HandStarted { hand, identity } => {

@@ -1,4 +1,4 @@
-//! Every message, made from what observers are shown.
+//! Creates all messages from the data that observers receive.
 
 use serde::Serialize;
 
@@ -143,7 +143,7 @@ impl Origin {
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
-    /// Reports that the robot itself refuses to move, or with `None` that the refusal has ended.
+    /// Reports that the robot itself refuses to move, or (with `None`) that the refusal has ended.
     pub fn refused(self, time_ms: u64, reason: Option<&str>) -> Entry {
         let reason = reason.unwrap_or_default().to_owned();
         Entry::new(Topic::Refused, time_ms, &own::Refused { stamp: self.stamp(time_ms), time_ms, reason })
@@ -333,7 +333,7 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
 }
 
-/// Returns the state of the dead-man, with any other reason that restricts the robot.
+/// Returns the state of the dead-man, together with any other reason that restricts the robot.
 fn safety(bridge: &Bridge) -> String {
     let mut text = plain(&bridge.safety().state());
     if bridge.is_jogging() {
@@ -345,7 +345,7 @@ fn safety(bridge: &Bridge) -> String {
     text
 }
 
-/// Formats a value as in the JSON summary, but texts without quotes.
+/// Formats a value as in the JSON summary, but without quotes around texts.
 fn plain(value: &impl serde::Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(text)) => text,

@@ -53,7 +53,7 @@ impl Viewer<'_> {
         self.socket.send(Message::text(server_info(self.shared.session)))?;
         self.socket.send(Message::text(advertise()))?;
         loop {
-            // Read before the last check of the queue, so that all messages are sent at the end.
+            // This is read before the last check of the queue, so that all messages are sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             self.tell()?;
             if over {
@@ -79,7 +79,7 @@ impl Viewer<'_> {
         }
     }
 
-    /// Sends what waits.
+    /// Sends the messages that wait.
     fn tell(&mut self) -> Result<(), Error> {
         let lost = self.seen.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {

@@ -85,7 +85,7 @@ struct Page<'a> {
     shared: &'a Shared,
     told: Told,
     greeted: bool,
-    /// Frames sent, and acknowledged.
+    /// Numbers of frames sent and acknowledged.
     sent: u64,
     taken: u64,
     taken_at: Instant,
@@ -94,7 +94,7 @@ struct Page<'a> {
 impl Page<'_> {
     fn run(&mut self) -> Result<(), Error> {
         loop {
-            // Read before the last check of the history, so that everything is sent at the end.
+            // This is read before the last check of the history, so that everything is sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             if over || self.sent - self.taken < IN_FLIGHT_MAX {
                 self.tell()?;

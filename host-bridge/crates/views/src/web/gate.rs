@@ -1,4 +1,4 @@
-//! Access rules of the page. A pure function of a request's claims, with a reason for each refusal.
+//! Access rules of the page: a pure function of a request's claims, with a reason for each refusal.
 //!
 //! A server on 127.0.0.1 is exposed to two attacks.
 //! A page of another site can open a WebSocket, which is not bound to its own origin.
@@ -24,7 +24,7 @@ pub struct Claims<'a> {
     pub token: Option<&'a str>,
 }
 
-/// The reason for a refusal, as a text for the requesting user.
+/// The reason for a refusal, as a text for the user who sent the request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
     /// A foreign name.

@@ -33,7 +33,7 @@ pub struct WebOptions {
 /// The reason why nothing is served, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
-    /// Somebody else has the port.
+    /// Another program uses the port.
     #[error(
         "{what} cannot be served: {address} is in use, perhaps by another bimanual; choose another port with \
          {option}={}, or {option}=0 for any free one",
@@ -47,7 +47,7 @@ pub enum WebError {
         /// Which.
         address: SocketAddr,
     },
-    /// The system does not let us.
+    /// The system does not permit this.
     #[error(
         "{what} cannot be served on {address}: {source}; choose another port with {option}=PORT (1024 or above), \
          or another address of this machine with --web-listen ADDR"
@@ -190,7 +190,7 @@ impl Seat {
         self.heard();
     }
 
-    /// Reports data from the other end, so that the connection keeps its place.
+    /// Reports data from the other side, so that the connection keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
