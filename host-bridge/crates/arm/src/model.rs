@@ -65,7 +65,7 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// As [`ArmJoint::solids`].
     pub foot_solids: Vec<Solid>,
-    /// The arm's first pose, which also replaces missing ones, in rad.
+    /// The home pose, used as the first goal and as the fallback, in rad.
     pub home_rad: Joints,
     /// Contents of the arm's file that were not understood, for users.
     pub notes: Vec<String>,

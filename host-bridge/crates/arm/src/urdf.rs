@@ -2,7 +2,7 @@
 //!
 //! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. This includes links
 //! fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read. Other meshes are reported
-//! ([`SerialArm::notes`]) and replaced by lines of a given radius from its link's frame to the next joints, or by
+//! ([`SerialArm::notes`]) and replaced by lines of a given radius from the link's frame to the next joints, or by
 //! a ball if there is no next joint, and so is a moving link without any shape. Fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 

@@ -1,7 +1,7 @@
 //! Replaces the meshes of a URDF by convex hulls (feature `urdf`).
 //!
-//! The corners of the hulls are written into the URDF itself, in place of the file names. The URDF is then complete: a
-//! recorded session needs no mesh.
+//! The corners of the hulls are written into the URDF itself, in place of the file names. The URDF then needs no other
+//! files, and neither does a recorded session.
 
 use std::collections::BTreeMap;
 
@@ -21,8 +21,8 @@ pub struct Alone {
     pub notes: Vec<String>,
 }
 
-/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls. `read` returns a mesh by its
-/// the file, or the reason why it cannot be read. Such a mesh stays in the file, and the notes name it.
+/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls. `read` returns a mesh by its name
+/// in the file, or the reason why it cannot be read. Such a mesh stays in the file, and the notes name it.
 ///
 /// # Errors
 /// The errors of [`crate::urdf::parse`] about the joints from root to tip.

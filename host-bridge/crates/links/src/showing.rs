@@ -23,7 +23,7 @@ const TAKE_MS: u64 = 3000;
 /// Time to get ready: the first for another gesture, the second for a repetition of the same one.
 const READY_MS: u64 = 3000;
 const AGAIN_MS: u64 = 1200;
-/// A request without an answer is repeated after the first time, and fails after the second one.
+/// A request without an answer is repeated after the first of these times, and fails after the second one.
 const REPEAT_MS: u64 = 1000;
 const ANSWER_MS: u64 = 5000;
 /// If no samples come for this long, the board is not recording.

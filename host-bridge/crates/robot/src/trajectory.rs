@@ -126,8 +126,8 @@ impl Trajectory {
         Trajectory::ending_at(joints_rad)
     }
 
-    /// Returns this motion up to `at_s`. Then the acceleration changes to the given one within `for_s` seconds (at constant
-    /// jerk, or at once without a jerk limit), and the arm brakes to rest. Parts more than `keep_s` before `at_s` are dropped.
+    /// Returns this motion up to `at_s`. Then the acceleration changes to the given one within `for_s` seconds (at
+    /// constant jerk, or at once without a jerk limit), and the arm brakes. Parts over `keep_s` before `at_s` are cut.
     #[must_use]
     pub fn continued(
         &self,

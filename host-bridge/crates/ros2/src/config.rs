@@ -83,7 +83,7 @@ pub struct Ros2Config {
     pub transport: Carrier,
     /// Zenoh's routers, such as `tcp/localhost:7447`.
     pub zenoh_connect: Vec<String>,
-    /// Zenoh's own configuration file, which overrides `zenoh_connect`; empty means `ZENOH_SESSION_CONFIG_URI`, or none.
+    /// Zenoh's own configuration file, which overrides `zenoh_connect`; empty: `ZENOH_SESSION_CONFIG_URI`, or none.
     pub zenoh_config: String,
     /// Addresses of the network interfaces to use; empty means all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
     /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` if nothing else is specified.
@@ -109,7 +109,7 @@ pub struct Ros2Config {
     pub arm: ArmInterface,
     /// The arm's controller.
     pub arm_controller: String,
-    /// The arm's joints from its foot on, as the robot names them: one to eight.
+    /// The arm's joints in order from its foot, with the names that the robot uses: one to eight.
     pub joint_names: Vec<String>,
     /// Topic on which the arm's angles are read (or, with `--publish-sim`, written).
     pub joint_states: String,

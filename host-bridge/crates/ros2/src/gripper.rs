@@ -2,7 +2,7 @@
 //!
 //! This module is sans-IO. A stall while closing means an object between the fingers, which is success.
 //! A server without a report for too long has failed.
-//! After a stop, the goal is cancelled repeatedly until its end is known, and no other goal is sent.
+//! A stop requests the goal's cancellation repeatedly until its end is known, and sends no other goal.
 //! Goals that were rejected or reported as finished are cancelled again by each stop, like those of the arm.
 
 use host_robot::{Grip, GripEnd, Reading};

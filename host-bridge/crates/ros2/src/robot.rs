@@ -69,7 +69,7 @@ pub struct Counts {
     pub motions: u64,
     /// Requests to end a goal of arm or gripper, not counting those that are already waiting.
     pub cancels: u64,
-    /// Speeds and pieces of arm motions that a newer one replaced before they were sent (only with a stalled Zenoh network).
+    /// Speeds and pieces of arm motions that newer ones replaced before they were sent (stalled Zenoh networks only).
     pub replaced: u64,
     /// Goals that were cancelled or became too old before they were sent (likewise).
     pub withdrawn: u64,

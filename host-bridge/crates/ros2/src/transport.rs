@@ -79,7 +79,7 @@ pub struct Unsent {
     pub failed: u64,
 }
 
-/// The node's entities on the graph. **No function here waits**: if a message cannot be accepted at once, it returns false.
+/// The node's entities on the graph. **No function waits**: if a message cannot be accepted at once, it returns false.
 pub trait Transport: Send {
     /// Returns all other participants on the graph.
     fn graph(&mut self) -> Graph;
@@ -173,7 +173,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     }
 }
 
-/// A controller's state with the fields that follow in Jazzy. Other releases end differently; unreadable fields are omitted.
+/// A controller's state with Jazzy's later fields. Other releases end differently; unreadable fields are omitted.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ToldState {
     /// The part that all releases share.
@@ -196,7 +196,7 @@ struct Tail(Option<Rest>);
 
 impl<'de> Deserialize<'de> for Tail {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Nothing follows that a wrong reading could damage.
+        // No further field follows that could be read incorrectly.
         Ok(Tail(Rest::deserialize(deserializer).ok()))
     }
 }

@@ -1,5 +1,5 @@
 //! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens that announce end points, and the
-//! attachment of each message. Sans-IO. Derived from rmw_zenoh's source (`liveliness_utils`, `attachment_helpers`, `qos`):
+//! attachment of each message. Sans-IO. From rmw_zenoh's source (`liveliness_utils`, `attachment_helpers`, `qos`):
 //! compatible according to the source, but not tested with rmw_zenoh itself.
 
 use super::advice::Endpoint;
@@ -49,7 +49,7 @@ impl Entity {
 pub struct Named {
     /// The form that users write: `/cell1/cmd_vel`.
     pub name: String,
-    /// The form on the wire: `geometry_msgs::msg::dds_::Twist_`; for a service, without the suffixes of request and reply.
+    /// The form on the wire: `geometry_msgs::msg::dds_::Twist_`; a service has no suffixes of request and reply.
     pub type_name: String,
     /// REP-2016's.
     pub hash: String,
@@ -76,7 +76,7 @@ pub fn wire_type(ros_type: &str) -> String {
     }
 }
 
-/// A name in a token contains no slashes; `%` replaces them.
+/// A name in a token contains no slashes: `%` replaces each slash, and stands for an empty name.
 fn mangled(name: &str) -> String {
     if name.is_empty() { "%".to_owned() } else { name.replace('/', "%") }
 }
@@ -347,7 +347,7 @@ mod tests {
         };
         let (plain, labelled) = (attached.bytes(false), attached.bytes(true));
         assert_eq!((plain.len(), labelled.len()), (33, 77));
-        // Assembled by hand according to rmw_zenoh's attachment_helpers.cpp: two integers, then the length and 16 bytes;
+        // Assembled by hand from rmw_zenoh's attachment_helpers.cpp: two integers, then the length and 16 bytes;
         // Jazzy puts the length and the name of each value before it.
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let (number, sent) = ("0700000000000000", "0100f323845bd718");

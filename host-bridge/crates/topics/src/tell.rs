@@ -19,7 +19,7 @@ pub trait Outlet {
 }
 
 /// The observer that creates all messages of a session.
-/// Joints are published at 100 Hz, odometry, speeds and transforms at 50 Hz, hands at 20 Hz, and other messages on events.
+/// Rates: joints 100 Hz; odometry, speeds and transforms 50 Hz; hands 20 Hz. Other messages follow events.
 #[derive(Debug)]
 pub struct Teller<O: Outlet> {
     origin: Origin,

@@ -98,7 +98,7 @@ struct Kept {
 #[derive(Clone, Default)]
 pub struct Inbox {
     kept: Arc<Mutex<Kept>>,
-    /// The newest message determines the form of attachments: with names as in Jazzy, or without.
+    /// Whether the newest message's attachment contains the names of its values, as in Jazzy.
     pub is_labelled: Arc<AtomicBool>,
 }
 

@@ -1,4 +1,4 @@
-//! Joins the graph on Zenoh: opens a session, creates its subscriptions, publishers and clients, and declares their tokens.
+//! Joins the graph on Zenoh: opens a session, creates subscriptions, publishers and clients, and declares tokens.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ const GOALS_MAX: usize = 64;
 /// A link without any data for this long is closed, in ms. Messages that a closed link had accepted are
 /// lost; TCP delivers them even after many lost packets. This value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
-/// A link that accepts no data for this long is also closed, in µs. No stop waits for it: base and arm have their own timeouts.
+/// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
 const PATIENCE_US: &str = "60000000";
 
 /// Zenoh's own configuration.
@@ -133,7 +133,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     let here = session.liveliness().declare_token(node.token()).wait();
     let here = here.map_err(|error| failed("saying who is there", error))?;
 
-    // Dropping these may wait for the network, so only the outbox's threads drop them.
+    // Dropping these values may wait for the network, so only the outbox's threads drop them.
     let held = Box::new((readers, here, watches));
     let outbox = Outbox::start(session.clone(), &node, &inbox, held)?;
     let arm = (way == ArmWay::Action).then(|| {

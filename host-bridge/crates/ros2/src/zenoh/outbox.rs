@@ -1,4 +1,4 @@
-//! The outbox: each lane has a thread that passes messages to Zenoh. No deciding thread ever waits for a stalled network.
+//! The outbox: each lane has a thread that passes messages to Zenoh. The control thread never waits for the network.
 //! Only these threads wait (congestion control "block"), and meanwhile a newer speed replaces the one that waits.
 
 use std::collections::BTreeMap;
@@ -287,7 +287,7 @@ impl Courier {
             .declare_publisher(named.key(self.node.domain))
             .congestion_control(congestion)
             .priority(priority)
-            // Only one message is passed on at a time: a message that waits here can still be replaced, but not one in Zenoh.
+            // Only one message is passed on at a time, because a message in Zenoh can no longer be replaced.
             .express(true)
             .wait()?;
         let writer = writer_of(&token);

@@ -182,7 +182,7 @@ impl Waiting {
         std::mem::take(&mut self.withdrawn)
     }
 
-    /// Returns the next task: orders, cancellations, messages, or other requests. (A cancellation never overtakes its goal: a
+    /// Returns the next task: orders, cancellations, messages, requests. (A cancellation never overtakes its goal: a
     /// goal that still waits is withdrawn first.)
     pub fn next(&mut self, now: Instant) -> Option<Job> {
         if let Some(order) = self.orders.pop_front() {
