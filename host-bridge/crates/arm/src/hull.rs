@@ -2,10 +2,10 @@
 //!
 //! The hull is computed by Quickhull (Barber, Dobkin and Huhdanpaa 1996). Each point is first moved by less than
 //! [`JOGGLE`] of the points' extent, so that no three of them lie on a line and no four in a plane. This error is
-//! far smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
+//! much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick. A hull is therefore cut by
-//! planes as long as the capsules then protrude less. Each piece is convex, so its capsule encloses it completely.
+//! planes as long as this reduces the protrusion of the capsules. Each piece is convex, so its capsule encloses it.
 
 use std::collections::BTreeMap;
 
@@ -76,7 +76,7 @@ impl Piece {
         Piece { points: points.to_vec(), capsule, out_m: out_m(&capsule, planes) }
     }
 
-    /// Returns its parts if a cut by one plane, or by two that cross, reduces the protrusion.
+    /// Returns the piece's parts if a cut by one plane, or by two that cross, reduces the protrusion.
     fn cut(&self, planes: &[Plane], room: usize) -> Option<Vec<Piece>> {
         if self.out_m <= OUT_MAX_M || room < 2 {
             return None;
@@ -110,7 +110,7 @@ impl Piece {
                 continue;
             }
             let worst_m = parts.iter().map(|part| out_m(&begun(part, planes), planes)).fold(0.0, f64::max);
-            // Each additional capsule counts as a small cost.
+            // Each additional capsule increases the cost by a few percent.
             let cost = worst_m * (1.0 + 0.05 * parts.len() as f64);
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, parts));
@@ -446,7 +446,7 @@ mod tests {
             (0..8).map(|k| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2))).collect();
         let hull = Hull::around(&dense(&corners, &mut random));
         assert_eq!(hull.points.len(), 8, "{:?}", hull.points);
-        // There are twelve sides, and a diagonal on each of six faces.
+        // A cube has twelve edges, and a diagonal on each of its six faces.
         assert_eq!(hull.edges.len(), 18);
         let half = hull.side(DVec3::X, 0.5);
         assert!(half.len() >= 8 && half.iter().all(|point| point.x >= 0.5 - 1e-12));

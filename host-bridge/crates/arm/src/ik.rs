@@ -94,7 +94,7 @@ pub fn solve(
 /// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
 ///
 /// # Errors
-/// This function has the errors of [`solve`].
+/// Returns the same errors as [`solve`].
 pub fn solve_from(
     purse: &Purse,
     arm: &SerialArm,

@@ -7,7 +7,7 @@ use host_robot::shape::Point;
 
 /// Meshes with more corners are refused.
 const POINTS_MAX: usize = 3_000_000;
-/// No link of a robot is larger than this: such a mesh is in millimetres, and its scale is missing.
+/// No link of a robot is larger than this: a larger mesh is in millimetres, and its scale is missing.
 const EXTENT_MAX_M: f64 = 5.0;
 
 /// Returns the corners of the mesh in a file with this name, scaled, in m.

@@ -24,7 +24,7 @@ const GEN3: &str = "Kinova Gen3 (7 joints)";
 pub struct ArmJoint {
     /// Name of the joint in the robot's own description.
     pub name: String,
-    /// Name of the moved link in the same description.
+    /// Name of the moved link in the robot's own description.
     pub link: String,
     /// Position of the joint in its parent's frame, in m.
     pub origin_m: Point,
@@ -42,7 +42,7 @@ pub struct ArmJoint {
     pub acceleration_rad_s2: f64,
     /// Shapes that enclose the moved link, in the joint's frame.
     pub shapes: Vec<Capsule>,
-    /// The same shapes without protruding parts if these are known; otherwise empty.
+    /// The link's shapes without protruding parts, if these are known; otherwise empty.
     pub solids: Vec<Solid>,
 }
 
@@ -53,7 +53,7 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// From the foot on; one to eight.
+    /// The joints in order from the foot; there are one to eight.
     pub joints: Vec<ArmJoint>,
     /// The flange in the last joint's frame.
     pub flange_m: Point,
@@ -91,7 +91,7 @@ pub enum JointError {
         low_rad: f64,
         /// Greatest.
         high_rad: f64,
-        /// Of all three values: in m for a sliding joint.
+        /// The unit of all three values: m for a sliding joint, otherwise rad.
         unit: &'static str,
     },
 }
@@ -140,7 +140,7 @@ impl SerialArm {
         }
     }
 
-    /// Returns whether it is the built-in arm, for which poses are bundled.
+    /// Returns whether this is the built-in arm, for which poses are bundled.
     pub fn is_gen3(&self) -> bool {
         self.name == GEN3
     }
@@ -164,8 +164,8 @@ impl SerialArm {
         poses
     }
 
-    /// Returns the same pose with continuous joints close to their current angles, so that the path is short.
-    /// They never turn by more than one revolution in either direction,
+    /// Returns an equivalent pose whose continuous joints are close to their current angles, so that the path is short.
+    /// Joints never turn by more than one revolution in either direction,
     /// because descriptions of such arms (for example ros2_kortex's) end there.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
@@ -221,22 +221,22 @@ impl SerialArm {
     }
 
     /// Returns the distance between the flange's position and the arm's reach,
-    /// if the arm's middle joints could stretch freely.
-    /// At 0 or less, the position may be within reach.
-    /// It also detects positions whose orientation turns the last link away.
+    /// under the assumption that the arm's middle joints could stretch freely.
+    /// If the result is 0 or less, the position may be within reach.
+    /// The function also detects positions whose orientation turns the last link away.
     ///
     /// The flange's pose determines the last joint's origin and axis, and therefore the circle of the previous joint.
-    /// The arm's base determines the circle of the second joint. A stretched chain is never longer than its parts.
+    /// The arm's base determines the circle of the second joint. The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
         // For an arm with a sliding joint, no position is refused in advance.
         if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
-        // This reverses the flange's own offset, which determines the last joint's axis but not its angle.
+        // This step reverses the flange's own offset, which determines the last joint's axis but not its angle.
         let last_turn = flange.rotation * self.flange_rotation.transpose();
         let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
-        // This is the last joint relative to the previous one, in the last joint's own axes.
+        // This vector leads from the previous joint to the last one, in the last joint's own axes.
         let link_m = last.origin_rotation.transpose() * last.origin_m;
         let (along_m, around_m) = along_and_around(link_m, last.axis);
         let hand_m = flange.position_m - offset_m - axis * along_m;
@@ -250,9 +250,9 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it. A turn by
-    /// an angle moves no point further than the angle times this distance. A sliding joint moves each point exactly as
-    /// far: 1.
+    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it: a turn by
+    /// an angle moves no point further than the angle times this distance. For a sliding joint, the value is 1, because
+    /// each point moves exactly as far as the joint.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }

@@ -79,10 +79,10 @@ pub struct StepTable {
     /// Opens or closes the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripTable>,
-    /// With this force at most.
+    /// The maximum force of the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
-    /// Rests for this long.
+    /// The arm rests for this time in s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait_s: Option<f64>,
 }

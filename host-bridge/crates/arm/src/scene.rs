@@ -102,7 +102,7 @@ pub struct BaseTable {
     pub wheel_speed_max_rad_s: f64,
     /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance of a wheel's distance per metre, in m²/m.
+    /// Variance of a wheel's travelled distance per metre, in m²/m.
     pub wheel_variance_m: f64,
     /// Length, width and height of the body, which begins 0.05 m above the floor.
     pub size_m: Point,
@@ -167,7 +167,7 @@ pub enum Route {
     Direct,
 }
 
-/// The selection of the arm, and its motion.
+/// The choice of the arm, and the parameters of its motion.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmTable {

@@ -29,7 +29,7 @@ impl Solid {
         Solid { points_m: self.points_m.iter().map(|point| frame.at(*point)).collect(), ..*self }
     }
 
-    /// Returns a lower bound for the distance of two bodies; 0 or less proves nothing.
+    /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
     ///
     /// The method is Frank and Wolfe's (1956; pairwise steps by Lacoste-Julien and Jaggi 2015), which approaches the
     /// nearest points of two convex bodies. Each direction on the way gives a plane between the bodies if there is one.

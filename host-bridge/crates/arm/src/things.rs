@@ -68,7 +68,7 @@ impl ObjectTable {
         self.size_m.map_or([self.radius_m.unwrap_or_default(); 2], |size| size.map(|m| 0.5 * m))
     }
 
-    /// Returns its initial pose.
+    /// Returns the initial pose of the object.
     fn start(&self) -> Pose {
         Pose { position_m: self.at_m, rotation: DMat3::from_rotation_z(self.yaw_rad) }
     }
@@ -82,13 +82,13 @@ impl ObjectTable {
         }
     }
 
-    /// Returns the maximum distance of its points from the centre of its underside.
+    /// Returns the maximum distance of the object's points from the centre of its underside.
     pub fn reach_m(&self) -> f64 {
         let [length, width] = self.half_m();
         DVec3::new(length, width, self.height_m).length() + ROD_M
     }
 
-    /// Returns capsules that enclose it in its own frame: rods along its edges, and its interior.
+    /// Returns capsules that enclose the object in its own frame: rods along its edges, and its interior.
     fn shapes(&self) -> Vec<Capsule> {
         let [length, width] = self.half_m();
         let rods = |x: f64, y: f64| Capsule {
@@ -146,7 +146,7 @@ pub enum ObjectPose {
 }
 
 impl ObjectPose {
-    /// Returns its pose relative to the scene's origin, given the flange's pose.
+    /// Returns the object's pose relative to the scene's origin, given the flange's pose.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
             ObjectPose::Stands(at) => *at,

@@ -194,7 +194,7 @@ impl Tool {
         self.point_m
     }
 
-    /// Returns its shapes in the flange's frame at this finger distance; `None` covers all positions.
+    /// Returns the tool's shapes in the flange's frame at this finger distance; `None` covers all positions.
     pub fn shapes(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         [self.fixed(), &self.fingers(opening_m)].concat()
     }

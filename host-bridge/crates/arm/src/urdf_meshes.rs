@@ -1,7 +1,7 @@
 //! Replaces the meshes of a URDF by convex hulls (feature `urdf`).
 //!
 //! The corners of the hulls are written into the URDF itself, in place of the file names. The URDF then needs no other
-//! files, and neither does a recorded session.
+//! files, so a recorded session needs no meshes.
 
 use std::collections::BTreeMap;
 

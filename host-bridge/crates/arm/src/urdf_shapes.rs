@@ -28,7 +28,7 @@ impl<'r> Shapes<'r> {
         self.robot.links.iter().find(|known| known.name == link).map_or(&[], |known| &known.collision)
     }
 
-    /// Returns whether the link has its own shapes and all of them were read.
+    /// Returns whether the link has shapes of its own, all of which were read.
     pub fn are_whole(&self, link: &str) -> bool {
         let own = self.collisions(link);
         !own.is_empty() && !own.iter().any(is_mesh)

@@ -11,7 +11,7 @@ use host_robot::{MotionName, Twist};
 /// The caps on forward and turning speed, and their changes by bends.
 ///
 /// Both caps change together.
-/// Each bend of the index finger multiplies them by 1.10, and each bend of the middle finger by 0.90.
+/// Each bend of the index finger multiplies the caps by 1.10, and each bend of the middle finger by 0.90.
 /// Caps stay within [0.05, 1.0] (the paper's table II and figures).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Caps {

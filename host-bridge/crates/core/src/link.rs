@@ -25,7 +25,7 @@ use shared_proto::version;
 
 use crate::safety::Hand;
 
-/// Interval for requesting a hello while nothing usable arrives.
+/// Interval for requesting a hello as long as no usable data arrives.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
 /// Interval for pinging a known board. The replies limit the age of its states.
@@ -170,7 +170,7 @@ pub struct HandLink {
     pinged: Option<(u32, u64)>,
     /// Round-trip time of the newest answered ping, and the time of its answer.
     round_trip: Option<(u64, u64)>,
-    /// The board's clock stepped back, so nothing counts until a hello arrives.
+    /// Whether the board's clock has stepped back, so that nothing counts until a hello arrives.
     restarted: bool,
 }
 
@@ -286,7 +286,7 @@ impl HandLink {
     }
 
     /// Returns whether the newest round trip is recent and took less than `limit_ms`.
-    /// In addition, no later ping may have waited longer.
+    /// In addition, no later ping may have waited longer than this.
     pub fn is_prompt(&self, limit_ms: u64, now_ms: u64) -> bool {
         let waiting = self.pings.front().is_some_and(|&(_, sent)| now_ms.saturating_sub(sent) >= limit_ms);
         self.answers(now_ms) && !waiting && self.round_trip.is_some_and(|(took, _)| took < limit_ms)

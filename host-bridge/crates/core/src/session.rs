@@ -93,7 +93,7 @@ impl<'b, D: Door> Session<'b, D> {
         })
     }
 
-    /// Advances by one millisecond, the first one at 0. Returns its events.
+    /// Advances by one millisecond (the first call is at time 0). Returns the events of this step.
     pub fn step(&mut self) -> Vec<SessionEvent> {
         let events = self.engine.advance(self.now_ms, PerHand::default());
         let picture = self.door().picture();

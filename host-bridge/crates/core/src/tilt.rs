@@ -1,10 +1,10 @@
 //! Driving in proportion to the tilt, an alternative to the paper's four headings.
 //!
 //! As with the four headings, the board decides whether the base drives at all.
-//! A command starts with an intended tilt and ends below the same threshold.
+//! A command starts with an intended tilt, and ends below the board's threshold, as with the headings.
 //! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate;
-//! together they drive an arc.
-//! Silence, neutral, stops, caps and the guard work in the same way.
+//! combined, they drive an arc.
+//! Silence, neutral, stops, caps and the guard work as with the four headings.
 
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;

@@ -297,6 +297,6 @@ fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neut
     println!(
         "row: hostile link: age of the acting state | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
     );
-    // The robot did move; otherwise, the test would prove nothing.
+    // The robot did move; otherwise, the test would check nothing.
     assert!(armed > steps / 2000 && commands > steps / 20, "{armed} {commands}");
 }

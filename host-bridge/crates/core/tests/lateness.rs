@@ -1,7 +1,7 @@
 //! Checks that ages are upper bounds: for any delays of a link, no command older than 250 ms has an effect.
 //!
 //! The test knows the true time of each sample, and compares it with the time at which the base moves.
-//! All of this is in virtual time.
+//! The whole test runs in virtual time.
 
 mod support;
 

@@ -138,7 +138,7 @@ pub enum TalkError {
         /// The last part of the received text.
         text: String,
     },
-    /// There is a board that this program cannot use.
+    /// A board answers, but this program cannot use it.
     #[error("{0}")]
     Unusable(String),
     /// A request was not answered.

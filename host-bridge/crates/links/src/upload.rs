@@ -303,7 +303,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
         /// Whatever messages are lost or repeated, and even if the board restarts a few times,
-        /// the complete model is stored in the end.
+        /// the complete model is finally stored.
         #[test]
         fn losses_repetitions_and_restarts_only_cost_time(
             fates in prop::collection::vec(0u8..20, 0..200),

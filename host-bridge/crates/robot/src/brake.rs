@@ -10,7 +10,7 @@ use crate::{JOINTS, JointLimits, Motion, Trajectory};
 
 /// Step of the integration, in s.
 const STEP_S: f64 = 0.001;
-/// Speeds below this fraction of the planned speed count as rest.
+/// Speeds below this fraction of the planned speed count as standstill.
 const REST: f64 = 1e-6;
 /// An upper limit for the duration of any braking.
 const BRAKING_MAX_S: f64 = 10.0;

@@ -79,9 +79,9 @@ pub enum Leg {
 /// The current state of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ArmState {
-    /// In rad; NaN if unknown.
+    /// Joint angles in rad; NaN if unknown.
     pub joints_rad: Joints,
-    /// In rad/s; NaN if unknown.
+    /// Joint speeds in rad/s; NaN if unknown.
     pub velocity_rad_s: Joints,
     /// The running motion and its current part, or `None`.
     pub running: Option<(MotionName, Leg)>,
@@ -140,7 +140,7 @@ pub enum Report {
     Note(String),
 }
 
-/// The complete changing state of the robot, as it reports it.
+/// The complete changing state of the robot, as reported by the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// The arm. Its angles are NaN if unknown.

@@ -18,7 +18,7 @@ pub struct RobotSetting {
     pub base: BaseConfig,
     /// Body of the base, relative to the point on the floor between its wheels.
     pub body: UprightBox,
-    /// Position of the arm's base, relative to the same point.
+    /// Position of the arm's base, relative to the point on the floor between the wheels.
     pub mount_m: Point,
     /// Of the arm.
     pub arm_name: String,
@@ -68,7 +68,7 @@ pub struct SceneObject {
 pub struct JointSetting {
     /// Name of the joint in the robot's own description.
     pub name: String,
-    /// Name of the moved link in the same description.
+    /// Name of the moved link in the robot's own description.
     pub link: String,
     /// Position of the joint in its parent's frame.
     pub origin_m: Point,

@@ -1,6 +1,6 @@
 //! Distances between the shapes of robot and scene, which are capsules, upright boxes and the floor.
 //!
-//! Both pairs of shapes that occur have an exact solution without iteration.
+//! Both pairs of shapes that occur have an exact solution that needs no iteration.
 //! A distance takes some tens of nanoseconds, and the result is equal on every machine.
 //! A general collision library (parry3d) would add some 30 crates for two functions.
 //! Instead, `tests/mujoco/check.py` compares these functions with an independent engine.
@@ -151,7 +151,7 @@ fn outside_m(point: Point, half: Point) -> f64 {
 /// Distance from a segment to a box around the origin.
 /// Along the segment, the squared distance is convex and consists of parabolas that meet at the planes
 /// of the box's sides.
-/// Its slope is piecewise linear, so the zero of the slope can be found exactly.
+/// The slope of the squared distance is piecewise linear, so its zero can be found exactly.
 fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     let d = b - a;
     let slope = |t: f64| {

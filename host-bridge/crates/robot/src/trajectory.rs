@@ -7,10 +7,10 @@
 //! On a single segment, the slowest joint determines v = min(vᵢ/|Δqᵢ|) and a = min(aᵢ/|Δqᵢ|).
 //! The duration is 1/v + v/a, or 2/√a if v² > a, as in MoveIt's time-optimal profile.
 //!
-//! With a jerk limit, the acceleration rises, stays constant and falls in each change of speed, equally for all joints.
+//! With a jerk limit, the acceleration of each change of speed rises, stays constant and falls, equally for all joints.
 //! Such a ramp covers the same distance as a uniform change of the same duration.
 //! Blends therefore remain centred on their corners, and all statements above hold.
-//! On one segment, this is the S-curve of seven phases, which is optimal (Biagiotti and Melchiorri 2008, section 3.4).
+//! On one segment, the result is the S-curve of seven phases, which is optimal (Biagiotti and Melchiorri 2008, 3.4).
 
 use crate::{JOINTS, JointLimits, Joints, Motion};
 
@@ -98,7 +98,7 @@ impl Trajectory {
     }
 
     /// Creates a trajectory through all points of a path.
-    /// It stops at the corners that `stops` selects and slightly cuts the others.
+    /// The arm stops at the corners that `stops` selects, and slightly cuts the others.
     /// `stops` begins with the first corner after the start.
     pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
         let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
@@ -163,7 +163,7 @@ impl Trajectory {
     /// Brakes from motion as fast as the limits allow, with all joints together, in a straight line.
     ///
     /// With a jerk limit, the current acceleration must first be reduced.
-    /// On a straight segment, this is done in minimum time.
+    /// On a straight segment, the change takes the minimum time.
     /// Within a blend, speed and acceleration have different directions.
     /// There, the acceleration of all joints is reduced to zero before braking begins.
     pub fn braking(from: Motion, limits: &JointLimits) -> Self {
@@ -183,7 +183,7 @@ impl Trajectory {
     }
 
     /// Brakes in minimum time if the acceleration is parallel to the motion.
-    /// Otherwise it returns false and changes nothing.
+    /// Otherwise, the function returns false and changes nothing.
     fn brake_on_the_line(&mut self, from: Motion, limits: &JointLimits) -> bool {
         let (speed, acceleration) = (&from.velocity_rad_s, &from.acceleration_rad_s2);
         let dot = |a: &Joints, b: &Joints| -> f64 { (0..JOINTS).map(|i| a[i] * b[i]).sum() };
@@ -195,10 +195,10 @@ impl Trajectory {
         }
         let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
         let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
-        // This is the loss (or gain) of speed while the acceleration goes to zero.
+        // The speed decreases (or increases) by this value while the acceleration goes to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
-            // This is the end of a ramp to rest. If the loss exceeded the speed, the joints would reverse.
+            // This case is the end of a ramp to rest. If the loss exceeded the speed, the joints would reverse.
             if released < 1.0 + 1e-6 {
                 let duration_s = -2.0 / gain;
                 self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
@@ -235,7 +235,7 @@ impl Trajectory {
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
                 // A blend is centred on its corner.
-                // At the start and the end, one speed is zero, so the arm rests in that half.
+                // At the start and the end, one of the speeds is zero, so the arm rests in that half of the blend.
                 // The motion takes longer by this time.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
@@ -383,7 +383,7 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
 }
 
 /// Returns the speed, in segments per second, at which a ramp up and a ramp down fill the segment.
-/// There, the ramp's time equals the reciprocal of the speed.
+/// At this speed, the ramp's time equals the reciprocal of the speed.
 fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
     let acceleration = most(way, &limits.acceleration_rad_s2);
     let jerk = most(way, &limits.jerk_rad_s3);

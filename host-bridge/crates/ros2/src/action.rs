@@ -1,5 +1,5 @@
 //! The common part of all action clients.
-//! It is created for the vendor of its server, stores the goals that it sent,
+//! The client is created for the vendor of its server. It stores the goals that were sent,
 //! and reads the server's reports about them.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
@@ -88,7 +88,7 @@ impl Goals {
         self.foreign
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send<G, R, F>(&mut self, client: &ActionClient<G, R, F>, ours: u32, goal: G) -> bool
     where
         G: Message + Clone + 'static,

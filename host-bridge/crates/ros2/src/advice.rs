@@ -77,7 +77,7 @@ impl Machine {
             (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
         };
         let udp = ports(udp, false);
-        // Both ports must exist, because a single one belongs to another program.
+        // Both ports must exist, because a single port belongs to another program.
         let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
         let domains = pairs.filter_map(|&port| domain(port)).collect();
         Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
@@ -383,7 +383,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
                  datagrams from it arrive here (firewall, another network)?",
                 server.vendor
             )),
-            // There are two servers, which is reported elsewhere, or the server appeared at the very end.
+            // There are two servers, which another line reports, or the server appeared at the very end.
             Probe::NotSent => {}
         }
         if let Some(rmw) = environment.rmw.as_deref()

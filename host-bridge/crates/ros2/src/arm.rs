@@ -167,7 +167,7 @@ impl ArmLink {
         self.reading(now_ms).map(|reading| reading.value)
     }
 
-    /// Returns the same with the age of the oldest value.
+    /// Returns all joints as above, with the age of the oldest value.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         self.angles.reading(now_ms)
     }
@@ -250,7 +250,7 @@ impl ArmLink {
         }
     }
 
-    /// Changes the running motion from `from_s` of its own time on.
+    /// Changes the running motion, starting at `from_s` of its own time.
     ///
     /// # Errors
     /// No motion runs, it was abandoned, or the piece would come too late. The arm then continues as before.
@@ -346,7 +346,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // With two servers or a forged answer, it may be running although it was reported as finished.
+            // With two servers or a forged answer, the motion may be running although it was reported as finished.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);

@@ -1,12 +1,12 @@
 //! Compares the robot's clock with this machine's clock, and determines the stamps of commands.
 //!
-//! A received stamp was set shortly before, so `stamp - local time` is the clock difference minus the transmission
+//! A received stamp was set shortly before arrival, so `stamp - local time` is the clock difference minus the transmission
 //! time.
-//! The largest value of the last seconds is the most accurate one.
+//! The largest such value of the last seconds is the most accurate one.
 //! A robot that stamps its states late looks like one whose clock is behind,
 //! and is equally unsuitable for stamped commands.
 //!
-//! If `/clock` is published, it is the graph's time (`use_sim_time`), and all stamps are compared with it.
+//! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 
 use std::collections::VecDeque;
 

@@ -1,6 +1,6 @@
 //! Reasons against moving the arm: two writers of its angles, impossible angles, another program's goal, or
 //! a scaled speed.
-//! This module is sans-IO. Each reason is reported, and while it holds, no motion starts and a running one is stopped.
+//! This module is sans-IO. Each reason is reported. While it applies, no motion starts, and a running one is stopped.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;

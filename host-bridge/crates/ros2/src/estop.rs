@@ -1,7 +1,7 @@
 //! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
-//! Each is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
-//! It also stops them while it has no publisher, before its first message,
+//! Each flag is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
+//! A flag also stops them while it has no publisher, before its first message,
 //! or (with a timeout) after too long a silence.
 //! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
@@ -90,7 +90,7 @@ impl Inputs {
         }
     }
 
-    /// Returns why nothing may move, or `None` if no flag forbids it.
+    /// Returns the reason why the robot must not move, or `None` if no flag forbids it.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         self.inputs.iter().find_map(|input| input.refusal(now_ms))
     }

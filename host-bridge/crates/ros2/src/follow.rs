@@ -54,7 +54,7 @@ impl Follow {
         Ok(servers.len() == 1)
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool {
         let Some((_, client)) = &self.client else { return false };
         self.goals.send(client, ours, ros::FollowGoal { trajectory, ..ros::FollowGoal::default() })

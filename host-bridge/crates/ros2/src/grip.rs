@@ -190,7 +190,7 @@ impl Gripper {
         })
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,

@@ -182,12 +182,12 @@ impl GripperLink {
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                // This includes a goal that was rejected or finished earlier, which must not run now.
+                // This case includes a goal that was rejected or finished earlier, which must not run now.
                 GripAnswer::Accepted => {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                // With two servers, another one may execute it.
+                // With two servers, the other one may execute the goal.
                 GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
@@ -473,7 +473,7 @@ mod tests {
         assert!(rig.gripper.take_notes()[0].contains("two controllers"));
         rig.outputs.clear();
         assert_eq!(rig.run(400), vec![Output::CancelGrip { goal: 1 }; 2]);
-        // The first server reports that it has stopped, so the next stop cancels the other's goal.
+        // The first server reports that it has stopped, so the next stop cancels the other server's goal.
         assert_eq!(rig.done(1, 0.3, false), Some(GripEnd::Halted));
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);

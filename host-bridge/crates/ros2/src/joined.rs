@@ -288,7 +288,7 @@ impl Joined {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
-                    // This loses only its description of itself; its end points still reveal it.
+                    // Only the participant's own description is lost; its end points still reveal the participant.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });

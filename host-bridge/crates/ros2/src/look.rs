@@ -1,5 +1,5 @@
 //! Reads the graph before a robot is driven: the robot's description, and the controllers that follow trajectories.
-//! This publishes nothing on the graph.
+//! These functions publish nothing on the graph.
 
 use std::time::{Duration, Instant};
 

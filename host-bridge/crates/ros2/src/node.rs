@@ -119,7 +119,7 @@ impl RosNode {
         self.clocks.robot_s(wall_s, now_ms)
     }
 
-    /// Returns the reason why nothing may be armed, or `None`.
+    /// Returns the reason why the robot may not be armed, or `None`.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if self.joined.is_none() {
             return Some("the node on the graph is being opened anew".to_owned());

@@ -29,7 +29,7 @@ impl Strays {
         self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms, is_said_over: false });
     }
 
-    /// Reports that this goal is not running. Its cancellation is still requested, but nothing waits for it.
+    /// Reports that this goal is not running. Its cancellation is still requested, but no other goal waits for it.
     pub fn said_over(&mut self, goal: u32) {
         for stray in self.0.iter_mut().filter(|stray| stray.goal == goal) {
             stray.is_said_over = true;

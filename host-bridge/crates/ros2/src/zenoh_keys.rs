@@ -1,6 +1,6 @@
 //! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens that announce end points, and the
-//! attachment of each message. Sans-IO. From rmw_zenoh's source (`liveliness_utils`, `attachment_helpers`, `qos`):
-//! compatible according to the source, but not tested with rmw_zenoh itself.
+//! attachment of each message. Sans-IO. The source is rmw_zenoh's code (`liveliness_utils`, `attachment_helpers`, `qos`).
+//! The names are compatible according to this source, but were not tested with rmw_zenoh itself.
 
 use super::advice::Endpoint;
 use super::hashes;
@@ -191,7 +191,7 @@ pub fn read_token(token: &str) -> Option<Told> {
 }
 
 impl Told {
-    /// Returns the same end point as DDS would show it, and whether it reads; `None` for nodes and clients.
+    /// Returns the end point as DDS would show it, and whether it reads; `None` for nodes and clients.
     pub fn endpoint(&self) -> Option<(Endpoint, bool)> {
         let (named, quality) = self.end.as_ref()?;
         let (topic, type_name, reads) = match self.entity {

@@ -1,7 +1,7 @@
 //! Tests two action servers, late and forged answers, and false joint states. A stop must end every motion.
 //!
-//! Each server executes accepted goals like joint_trajectory_controller, until they finish or are cancelled.
-//! Its answers may be late, and other participants' messages may arrive in between.
+//! Each server executes accepted goals, like joint_trajectory_controller, until they finish or are cancelled.
+//! The answers may be late, and other participants' messages may arrive in between.
 
 use std::sync::Arc;
 

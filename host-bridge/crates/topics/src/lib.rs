@@ -46,7 +46,7 @@ macro_rules! topics {
                 match self { $(Topic::$topic => $name,)* }
             }
 
-            /// Its type: `package/msg/Name`.
+            /// The topic's type: `package/msg/Name`.
             pub fn kind(self) -> String {
                 let kind = match self { $(Topic::$topic => <$kind>::TYPE,)* };
                 kind.replace('/', "/msg/")

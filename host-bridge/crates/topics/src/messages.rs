@@ -176,7 +176,7 @@ impl Origin {
                     let found = values.get(from..from + 3)?;
                     Some(DVec3::from([0, 1, 2].map(|i| f64::from(found[i]))) * factor)
                 };
-                // In ROS, a first element of -1 marks a missing value.
+                // In ROS, the value -1 in the first element means that the data is missing.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
                 let raw = own::RightSample { header: header.clone(), values: values.to_vec() };

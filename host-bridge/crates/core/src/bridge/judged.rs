@@ -23,7 +23,7 @@ pub(super) fn rests(labels: &[String], scores: &[f32]) -> bool {
     if !labels.iter().any(|label| is_rest(label)) {
         return true;
     }
-    // Of equal scores, the first label wins, as on the board. If all are zero, nothing was computed.
+    // Of equal scores, the first label wins, as on the board. If all scores are zero, nothing was computed.
     let top = (0..scores.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
     top.is_some_and(|top| scores[top] > 0.0 && is_rest(&labels[top]))
 }

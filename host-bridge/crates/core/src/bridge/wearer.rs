@@ -12,7 +12,7 @@ pub(super) const NEARLY_SHOWN_MS: u64 = 2000;
 pub struct Nearly {
     /// The nearest gesture.
     pub label: String,
-    /// Its best mean probability, 0 to 1.
+    /// The gesture's best mean probability, 0 to 1.
     pub confidence: f32,
 }
 

@@ -234,7 +234,7 @@ mod tests {
         );
         let short = refused_at_start(&still((0..100).map(|n| 10 * n)));
         assert!(short.len() == 1 && short[0].contains("the recording is too short"), "{short:?}");
-        // The board agrees: with its own calibration, its states have no warning.
+        // The board confirms this: with its own calibration, its states have no warning.
         let flags = |recording: AdcRecording| {
             play(LeftBoard::new(recording, None, 1).calibrated_at_start()).last().unwrap().health
         };

@@ -203,7 +203,7 @@ pub fn join(
     })
 }
 
-/// A pause of at least this many intervals and this duration means that the sensor delivers nothing.
+/// A pause of at least this many intervals and this duration means that the sensor delivers no data.
 /// Shorter pauses, such as a few samples lost by a radio, are bridged.
 const SILENT_INTERVALS: f64 = 3.0;
 const SILENT_MS: f64 = 50.0;
@@ -227,7 +227,7 @@ fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
 pub struct Joined {
     /// At 100 Hz, from time 0.
     pub recording: Recording,
-    /// Ranges of samples that do not exist because the sensor delivered nothing.
+    /// Ranges of samples that are missing because the sensor delivered no data.
     pub silences: Vec<Range<usize>>,
     /// Notes about everything that was inferred, repaired or omitted while reading.
     pub notes: Vec<String>,
@@ -304,7 +304,7 @@ impl<'m> RightBoard<'m> {
 }
 
 impl RightBoard<'_> {
-    /// Makes the sensor deliver nothing in these samples, so that they cause no state.
+    /// Removes these samples, as if the sensor delivered no data, so that they cause no state.
     #[must_use]
     pub fn silent_in(self, silences: Vec<Range<usize>>) -> Self {
         RightBoard { silences, ..self }

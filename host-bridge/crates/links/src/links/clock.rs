@@ -1,10 +1,10 @@
 //! Clocks and timed waits.
 //!
 //! A thread waits for time only through its [`Waiter`].
-//! In the released program, this uses the machine's clock.
+//! In the released program, the waiter uses the machine's clock.
 //! With the feature `test-clock` (tests only), a test can control the time.
 //! The time then advances only when all waiters wait, so that board,
-//! wire and program share it at any load of the machine.
+//! the line and the program share the time at any load of the machine.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -34,7 +34,7 @@ pub trait Clock: Send + Sync {
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,
-    /// The test's clock, if it is used instead, and its time at creation.
+    /// The test's clock, if one is used instead, and its time at creation.
     #[cfg(feature = "test-clock")]
     test: Option<(&'static TestClock, u64)>,
 }
@@ -179,7 +179,7 @@ impl Waiter {
 }
 
 /// Ends a thread's waits under a test's clock, so that the thread can be joined while time stands still.
-/// With the machine's clock, waits are short, and this does nothing.
+/// With the machine's clock, waits are short, so this function does nothing.
 #[derive(Clone, Debug)]
 pub struct Waker {
     #[cfg(feature = "test-clock")]
@@ -206,7 +206,7 @@ mod tests {
         use rustix::time::{ClockId, clock_gettime};
 
         // Both clocks start at boot, but only one of them continues during sleep.
-        // On a machine that never slept they are equal, so the test also checks the name of the clock.
+        // On a machine that has never slept, both are equal, so the test also checks the name of the clock.
         let awake = clock_gettime(ClockId::Monotonic);
         let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;
         assert!(since_boot_ms() >= awake_ms);

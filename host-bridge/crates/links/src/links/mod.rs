@@ -105,6 +105,6 @@ pub enum News {
     /// Bytes, as they came.
     Bytes(Vec<u8>),
     /// The port cannot be opened or has failed, with the reason and a remedy.
-    /// This is reported once per reason, and the link keeps trying.
+    /// Each reason is reported only once, and the link keeps trying.
     Closed(String),
 }

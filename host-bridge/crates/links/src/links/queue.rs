@@ -2,7 +2,7 @@
 //!
 //! A board that sends too much must not fill the memory or delay new bytes behind old ones.
 //! The queue therefore has a maximum size and drops the oldest bytes.
-//! This is harmless because every state is complete. Events about opened and closed ports are never dropped.
+//! This loss is harmless because every state is complete. Events about opened and closed ports are never dropped.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::RecvTimeoutError;

@@ -2,7 +2,7 @@
 //! The test sends the time in milliseconds, and receives one byte when every participating thread waits
 //! for a later time.
 //!
-//! This exists only with the feature `test-clock`, which no released program has.
+//! This clock exists only with the feature `test-clock`, which no released program has.
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::UnixStream;

@@ -53,7 +53,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// Creates a client for this action of `control_msgs`. Subscriptions of an earlier client of the same kind end.
+    /// Creates a client for this action of `control_msgs`. Subscriptions of earlier clients of this kind end.
     pub fn new(
         which: Which,
         name: &str,
@@ -112,7 +112,7 @@ impl Client {
         })
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, goal: &impl Serialize) -> bool {
         let id = UUID::new_random();
         let sent = self.request(|client| &client.send_goal, &(id, goal), Asked::Goal(self.which, id));
@@ -188,7 +188,7 @@ impl Client {
                     }
                 }
                 Asked::Probe(_) => self.probe = Probe::Answered,
-                // The result shows the end of a cancellation.
+                // The goal's own result shows whether the cancellation succeeded.
                 Asked::Cancel(_) | Asked::History(_) => {}
             }
         }

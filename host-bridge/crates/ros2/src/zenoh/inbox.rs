@@ -122,7 +122,7 @@ impl Inbox {
         self.take_in(read, &attached, &sample.payload().to_bytes());
     }
 
-    /// Does the same for bytes.
+    /// Stores a message that is given as bytes.
     fn take_in(&self, read: Read, attached: &Attached, bytes: &[u8]) {
         let mut kept = self.lock();
         if matches!(read, Read::Flag(_) | Read::Status(_)) {

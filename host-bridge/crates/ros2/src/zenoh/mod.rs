@@ -68,7 +68,7 @@ fn hex(bytes: &[u8]) -> String {
 struct Gripper {
     meant: Meant,
     joint: String,
-    /// Its name, kind and client.
+    /// The gripper's name, kind and client.
     server: Option<(String, usize, Client)>,
 }
 

@@ -22,7 +22,7 @@ use crate::zenoh_keys::{Named, Node, Quality, read_token, tokens_of};
 const GOALS_MAX: usize = 64;
 
 /// A link without any data for this long is closed, in ms. Messages that a closed link had accepted are
-/// lost; TCP delivers them even after many lost packets. This value is rmw_zenoh's; see docs/zenoh.
+/// lost; TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
 /// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
 const PATIENCE_US: &str = "60000000";

@@ -106,7 +106,7 @@ impl Order {
     pub fn lane(&self) -> Lane {
         match self {
             Order::Write(place, ..) | Order::Unwrite(place) => place.lane(),
-            // This comes before the first goal to that server.
+            // This order comes before the first goal to that server.
             Order::Read(..) | Order::Say(..) | Order::Forget(..) => Lane::Requests,
         }
     }

@@ -1,10 +1,9 @@
 //! Adds the index to recordings that were killed.
 //!
 //! A session's file is valid after every write ([`super::sink`]).
-//! However, readers that jump within it need the index at its end, which is written only when the file is closed.
-//! The next program start adds it: it copies the messages to a new file, which then replaces the old one.
+//! However, readers that jump within a file need the index at its end, which is written only when the file is closed.
+//! The next program start adds the index: it copies the messages to a new file, which then replaces the old one.
 //! A file that is still being written is locked and not changed.
-//! takes the old one's place. A file that is still being written is locked and left alone.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;

@@ -17,7 +17,7 @@ use super::{Counted, IN_FLIGHT_MAX, Shared};
 /// Interval at which the thread checks for new data. Data from the page wakes it immediately.
 const TURN: Duration = Duration::from_millis(4);
 
-/// A page that accepts nothing for this long is disconnected. It reconnects automatically.
+/// A page that accepts no data for this long is disconnected. The page reconnects automatically.
 const TAKES_NOTHING: Duration = Duration::from_secs(30);
 
 /// Maximum length of a page's message, which is always short.

@@ -149,7 +149,7 @@ impl Web {
         self.shared.stop.swap(false, Ordering::SeqCst)
     }
 
-    /// Returns the same function for another thread.
+    /// Returns the function [`Self::take_stop`] for another thread.
     pub fn stops(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.stop.swap(false, Ordering::SeqCst)

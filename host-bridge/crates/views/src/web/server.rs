@@ -30,7 +30,7 @@ pub struct WebOptions {
     pub token: Option<String>,
 }
 
-/// The reason why nothing is served, with a remedy in the text.
+/// The reason why the server does not start, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
     /// Another program uses the port.
@@ -235,7 +235,7 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
                     lock(&places).pop();
                 }
             }
-            // For example, if no file descriptors are left. The delay avoids a busy loop.
+            // The cause may be that no file descriptors are left. The delay avoids a busy loop.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
