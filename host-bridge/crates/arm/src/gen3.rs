@@ -24,8 +24,8 @@ pub const ACCELERATION_SCALING: f64 = 0.05;
 
 /// Jerk limit of all joints in rad/s³, used if jerk is limited. It is not scaled.
 ///
-/// We chose it so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova does not specify one.
-/// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach it in 4 ms.
+/// We chose this limit so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova specifies no limit.
+/// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach that acceleration in 4 ms.
 pub const MAX_JERK_RAD_S3: f64 = 4.3;
 
 /// Returns the arm's own limits, scaled as in the paper. Jerk is not limited.

@@ -67,7 +67,7 @@ pub enum Unreachable {
         position_mm: f64,
         /// The angle between the best attempt's orientation and the goal's.
         angle_mrad: f64,
-        /// The work that the search took: steps,
+        /// Number of steps that the search took.
         steps: usize,
         /// Number of solutions that were not accepted.
         looks: usize,

@@ -1,11 +1,11 @@
 //! The arm: its model, its planner and its director.
 //!
 //! * [`model`], [`gen3`], [`solid`], `urdf`: joints, limits, shapes and forward kinematics,
-//! [`ik`]: the step from a pose of the flange to joint angles,
-//! [`scene`], [`plan`]: the surroundings, and motions without collisions,
-//! [`tool`], [`things`]: the tools on the flange, and the objects that it can grip,
+//! * [`ik`]: the step from a pose of the flange to joint angles,
+//! * [`scene`], [`plan`]: the surroundings, and motions without collisions,
+//! * [`tool`], [`things`]: the tools on the flange, and the objects that a gripper can hold,
 //! * [`motions`]: named motions and poses, as data,
-//! [`director`]: the part between bridge and robot, which combines all of these.
+//! * [`director`]: the part between bridge and robot, which combines all of these.
 
 pub mod director;
 pub mod gen3;

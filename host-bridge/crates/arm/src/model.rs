@@ -348,7 +348,7 @@ mod tests {
         // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so the joint turns back instead.
         (here[0], goal[0]) = (6.0, 0.5);
         assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
-        // An arm that has already turned further is not turned further by this.
+        // An arm that has already turned beyond one revolution does not turn further.
         here[0] = 7.0;
         assert!((arm.unwound(&goal, &here)[0] - (TAU + 0.5)).abs() < 1e-12);
     }

@@ -79,7 +79,7 @@ pub struct Scene {
     /// What can be gripped.
     #[serde(default, rename = "object")]
     pub objects: Vec<ObjectTable>,
-    /// What is on the flange.
+    /// The tools on the flange.
     #[serde(default, rename = "tool")]
     pub tools: Vec<ToolTable>,
     /// The robot's profile for the driver of a real robot; this crate does not interpret it.
@@ -193,11 +193,11 @@ pub struct ArmTable {
     pub root: Option<String>,
     /// Last link of that arm, required if the file has several tips.
     pub tip: Option<String>,
-    /// Radius around the bones of links without simple shapes in the file.
+    /// Radius of the lines that replace links without simple shapes in the file.
     pub link_radius_m: f64,
-    /// Acceleration of joints without one in the file, before scaling.
+    /// Acceleration of joints for which the file specifies none, before scaling.
     pub acceleration_rad_s2: f64,
-    /// Speed of continuous joints without limits in the file, before scaling.
+    /// Speed of continuous joints for which the file specifies no limits, before scaling.
     pub velocity_rad_s: f64,
 }
 
@@ -307,9 +307,9 @@ impl Scene {
         Ok(scene)
     }
 
-    /// What is on the flange.
+    /// Returns the tool on the flange.
     pub fn tool(&self) -> Tool {
-        // `check` has verified that it can be assembled.
+        // `check` has verified that the tools can be combined.
         Tool::new(&self.tools).unwrap_or_default()
     }
 

@@ -251,7 +251,7 @@ impl Shop<'_> {
 
     /// Updates the objects after a grip to a width. Returns a message for users.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
-        // If the finger distance is unknown, it is the width of the held object.
+        // If the finger distance is unknown, the width of the held object is used.
         let held_m = things
             .held()
             .map(|(i, on_flange)| self.objects[i].width_m(on_flange.rotation.transpose() * DVec3::X));

@@ -184,7 +184,7 @@ impl Tool {
         self.name.is_empty()
     }
 
-    /// The tool as a gripper, or `None` for any other tool.
+    /// Returns the tool as a gripper, or `None` for any other tool.
     pub fn hand(&self) -> Option<&Hand> {
         self.hand.as_ref()
     }

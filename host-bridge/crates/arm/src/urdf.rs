@@ -24,11 +24,11 @@ pub struct Missing {
     pub root: Option<String>,
     /// Last link of the arm; `None` selects the only tip.
     pub tip: Option<String>,
-    /// Radius around the bones of links without simple shapes.
+    /// Radius of the lines that replace links without simple shapes.
     pub link_radius_m: f64,
-    /// Acceleration of joints without one (URDF 1.2 has it).
+    /// Acceleration of joints for which the file specifies none (URDF 1.2 permits one).
     pub acceleration_rad_s2: f64,
-    /// Speed of continuous joints without any limits.
+    /// Speed of continuous joints for which the file specifies no limits.
     pub velocity_rad_s: f64,
 }
 
@@ -112,7 +112,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 }
                 let limit = &joint.limit;
                 let turns_on = joint.joint_type == JointType::Continuous;
-                // A continuous joint needs no limits, but given ones must be valid.
+                // A continuous joint needs no limits, but any given limits must be valid.
                 let unlimited = turns_on && limit.velocity == 0.0 && limit.effort == 0.0;
                 let velocity_rad_s = if unlimited { missing.velocity_rad_s } else { limit.velocity };
                 if !(velocity_rad_s.is_finite() && velocity_rad_s > 0.0) {

@@ -99,7 +99,7 @@ pub enum Heard {
 pub struct RightReport {
     /// Upper bound of the newest sample's age.
     pub age_ms: u64,
-    /// Board clock at the newest sample.
+    /// Time of the newest sample on the board's clock.
     pub board_time_ms: u32,
     /// Bits of [`shared_words::health`].
     pub health: u8,
@@ -116,9 +116,9 @@ pub struct NewGesture {
     pub label: u8,
     /// 0 to 1.
     pub confidence: f32,
-    /// Board clock at the end of the deciding window.
+    /// Time of the deciding window's end on the board's clock.
     pub window_end_ms: u32,
-    /// Upper bound of the age of that window's end.
+    /// Upper bound of the time since that window's end.
     pub age_ms: u64,
     /// Number of earlier gestures whose label is unknown because their frames were lost.
     pub unnamed: u8,

@@ -57,7 +57,7 @@ pub trait Observer {
     /// Called for each event.
     fn happened(&mut self, _event: &SessionEvent) {}
 
-    /// Called with the state after a step: each millisecond of a played session, each turn of a live one.
+    /// Called with the state after each step: every millisecond in a played session, every turn in a live one.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
@@ -114,12 +114,12 @@ pub enum Sample<'a> {
     },
     /// A sample of the right hand's IMU, converted to 100 Hz.
     Right {
-        /// Accelerometer in m/s², then (6 values) gyroscope in deg/s, then (9 values) magnetometer in µT.
+        /// Accelerometer in m/s², then (with 6 values) gyroscope in deg/s, then (with 9 values) magnetometer in µT.
         values: &'a [f32],
     },
 }
 
-/// What an operator can press.
+/// The operator's keys and buttons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OperatorKey {
@@ -163,7 +163,7 @@ pub struct Snapshot {
     pub caps: Caps,
     /// The commanded speed of the base; zero unless armed.
     pub twist_asked: Twist,
-    /// Position and speed of the base, from its wheels.
+    /// Position and speed of the base, derived from its wheels.
     pub odometry: Odometry,
     /// Age of the base's report; `None` if there is none.
     pub base_age_ms: Option<u64>,

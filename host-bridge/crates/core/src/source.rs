@@ -36,7 +36,7 @@ pub trait HandSource: Send {
         None
     }
 
-    /// Returns whether its recording has ended. It is silent from then on.
+    /// Returns whether the hand's recording has ended. The hand is silent from then on.
     fn ended(&self) -> bool {
         false
     }

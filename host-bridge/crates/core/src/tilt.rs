@@ -75,7 +75,7 @@ pub struct TiltDrive {
 }
 
 impl TiltDrive {
-    /// The paper's four headings; in proportional mode, 8° to 40°.
+    /// The default is the paper's four headings; proportional mode uses 8° to 40°.
     pub const DEFAULT: Self = TiltDrive {
         proportional: false,
         dead_mrad: 140,

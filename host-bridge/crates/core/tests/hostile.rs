@@ -223,7 +223,7 @@ impl World {
                 }
                 self.seen_ms[place(heading)] = self.seen_ms[place(heading)].max(sampled_ms);
             }
-            // Frames are processed one by one, because the next one may end neutral.
+            // Frames are processed one by one, because the next frame may interrupt neutral.
             self.judge_arming(was_armed);
         }
         let was_armed = self.is_armed();

@@ -124,7 +124,7 @@ impl Collector {
 pub struct LeftCollector {
     wanted: usize,
     period_ms: u32,
-    /// Board time of the first.
+    /// Board time of the first sample.
     first_ms: u32,
     samples: Vec<(u64, AdcCounts)>,
 }
@@ -136,7 +136,7 @@ impl LeftCollector {
         LeftCollector { wanted, period_ms, first_ms: 0, samples: Vec::new() }
     }
 
-    /// Adds a sample. Returns true if there are enough.
+    /// Adds a sample. Returns true if there are enough samples.
     ///
     /// # Errors
     /// [`CaptureProblem`] if the sample does not continue the previous one.

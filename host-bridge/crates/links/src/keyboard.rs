@@ -9,7 +9,7 @@
 //! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
 //! Debouncing, the dead-man, the caps and the stop therefore apply to it too.
 //! A terminal reports key presses and repeats, but no releases.
-//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat it.
+//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat the key.
 //! Afterwards, the arrow counts for [`KeyTimes::repeat_ms`] after each repeat, and finally the hand is neutral again.
 
 use std::collections::VecDeque;

@@ -1,10 +1,10 @@
 //! Sources of hands (serial ports, Bluetooth, recordings, keys), and a client for a single board.
 //!
-//! [`links`]: ports, and the clock that they share,
-//! [`hands`], [`keyboard`]: hands that behave like boards inside this program, and [`wire`], the line between them,
-//! [`talk`], [`upload`], [`capture`], [`survey`]: communication with a single board, for `doctor`, `record` and
-//!   `send-model` do,
-//! [`showing`]: gestures that a wearer shows during a session, and the transfer of the resulting model to the board.
+//! * [`links`]: ports, and the clock that they share,
+//! * [`hands`], [`keyboard`]: hands that behave like boards inside this program, and [`wire`], the line between them,
+//! * [`talk`], [`upload`], [`capture`], [`survey`]: communication with a single board, for `doctor`, `record` and
+//!   `send-model`,
+//! * [`showing`]: gestures that a wearer shows during a session, and the transfer of the trained model to the board.
 
 pub mod capture;
 pub mod hands;

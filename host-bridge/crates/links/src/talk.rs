@@ -227,7 +227,7 @@ impl Talk {
         self.clock.now_ms()
     }
 
-    /// Returns the waiter of the communicating thread, for all waits other than for events.
+    /// Returns the waiter of the communicating thread, for all waits except those for events.
     pub fn waiter(&self) -> &Waiter {
         &self.waiter
     }

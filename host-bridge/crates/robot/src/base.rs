@@ -316,7 +316,7 @@ mod tests {
         for (got, expected) in got.as_flattened().iter().zip(expected.as_flattened()) {
             assert!((got - expected).abs() < 1e-12, "{got} {expected}");
         }
-        // The covariance is equal forward and backward. At rest it is small but never zero.
+        // The covariance is the same for forward and backward motion. At rest, it is small but never zero.
         assert_eq!(config.speed_covariance([-3.0, -5.0], 0.02), config.speed_covariance([3.0, 5.0], 0.02));
         assert!(config.speed_covariance([0.0; 2], 0.02)[1][1] > 0.0);
     }

@@ -64,7 +64,7 @@ impl Serialize for MotionName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leg {
-    /// It is planned; the arm rests.
+    /// The motion is being planned, and the arm rests.
     Planning,
     /// Moving to the home pose.
     ToHome,

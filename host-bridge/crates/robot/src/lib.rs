@@ -8,7 +8,7 @@
 //!
 //! * [`Robot`]: the interface of every robot, such as the simulator or a robot on a ROS 2 graph.
 //! * [`Door`]: the interface for the bridge and for observers. The arm director implements it for all robots.
-//! [`brake`]: braking along a trajectory's own path,
+//! * [`brake`]: braking along a trajectory's own path,
 //! * [`base`], [`pose`], [`limits`], [`trajectory`], [`shape`]: geometry and motion, without time or links.
 
 pub mod base;

@@ -27,7 +27,7 @@ pub const fn joints<const N: usize>(own: [f64; N]) -> Joints {
 /// Position and orientation of a frame in the arm's base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pose {
-    /// x forward, y left, z up, in metres.
+    /// Position: x forward, y left, z up, in metres.
     pub position_m: DVec3,
     /// Rotation matrix; serialised row by row.
     #[serde(serialize_with = "rows")]

@@ -122,7 +122,7 @@ pub trait Robot {
     /// Makes the arm follow a trajectory that starts at its position. It replaces the current trajectory.
     ///
     /// # Errors
-    /// The reason why it does not follow or grip. Nothing moves in this case.
+    /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
     /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
@@ -171,7 +171,7 @@ pub trait Robot {
     /// Moves the gripper to a width.
     ///
     /// # Errors
-    /// The reason why it does not follow or grip. Nothing moves in this case.
+    /// The reason why the gripper does not move. Nothing moves in this case.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }

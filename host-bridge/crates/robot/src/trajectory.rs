@@ -99,7 +99,7 @@ impl Trajectory {
 
     /// Creates a trajectory through all points of a path.
     /// The arm stops at the corners that `stops` selects, and slightly cuts the others.
-    /// `stops` begins with the first corner after the start.
+    /// The first entry of `stops` is for the first corner after the start.
     pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
         let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
         let mut start = 0;

@@ -5,7 +5,7 @@
 //!
 //! This module is sans-IO. A trajectory starts at the angles that the robot reports, and is sent as a whole.
 //! A motion runs until the controller (action), or the angles and the time (topic), indicate its end.
-//! A stop cancels it, and also any goal that is accepted later.
+//! A stop cancels the motion, and also any goal that is accepted later.
 
 use std::sync::Arc;
 
@@ -42,7 +42,7 @@ struct Run {
     goal: u32,
     trajectory: Arc<Trajectory>,
     asked_ms: u64,
-    /// Time at which it began to move; `None` without an answer.
+    /// Time at which the motion began; `None` without an answer.
     moving_since_ms: Option<u64>,
     /// Elapsed time as reported by the controller.
     elapsed_s: Option<f64>,

@@ -1,7 +1,7 @@
 //! Compares the robot's clock with this machine's clock, and determines the stamps of commands.
 //!
-//! A received stamp was set shortly before arrival, so `stamp - local time` is the clock difference minus the transmission
-//! time.
+//! A received stamp was set shortly before arrival, so `stamp - local time` is the clock difference minus the
+//! transmission time.
 //! The largest such value of the last seconds is the most accurate one.
 //! A robot that stamps its states late looks like one whose clock is behind,
 //! and is equally unsuitable for stamped commands.
@@ -90,7 +90,7 @@ impl Clocks {
         heard.push_back((now_ms, difference));
     }
 
-    /// Returns the graph's time, if its clocks agree: `/clock`, otherwise this machine's.
+    /// Returns the graph's time if the clocks agree: `/clock`, or otherwise this machine's time.
     fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {

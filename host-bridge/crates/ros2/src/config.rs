@@ -118,7 +118,7 @@ pub struct Ros2Config {
     /// Time after which a goal without an answer is abandoned and cancelled.
     pub answer_ms: u64,
     /// The gripper's action, such as `gripper_controller/gripper_cmd` (GripperCommand or ParallelGripperCommand).
-    /// `"auto"` selects the only one whose name ends in `gripper_cmd`; empty means none.
+    /// `"auto"` selects the only action whose name ends in `gripper_cmd`; empty means none.
     pub gripper: String,
     /// Name of the gripper's joint in the joint states; empty if it is not reported.
     pub gripper_joint: String,
@@ -131,8 +131,8 @@ pub struct Ros2Config {
     /// A gripper without a report for this long has failed.
     pub gripper_timeout_ms: u64,
     /// Topic of an external e-stop (`std_msgs/Bool`), preferably latched.
-    /// True stops base and arm, like a lock of twist_mux.
-    /// A missing publisher also stops them. Empty means none.
+    /// The value true stops base and arm, like a lock of twist_mux.
+    /// A missing publisher also stops them. An empty name means that there is no e-stop.
     pub estop: String,
     /// Duration of silence of an e-stop that counts as a stop; 0 means that its last message remains valid.
     pub estop_timeout_ms: u64,

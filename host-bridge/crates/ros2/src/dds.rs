@@ -1,4 +1,4 @@
-//! DDS as the node's carrier.
+//! DDS as the node's middleware.
 
 use super::action::active;
 use super::advice::{Graph, Probe};

@@ -51,7 +51,7 @@ impl Doubts {
         }
     }
 
-    /// Returns whether a joint can have moved here in `passed_ms`. If not, this is stored.
+    /// Returns whether a joint can have moved to this angle within `passed_ms`. An impossible angle is stored.
     pub fn judge(&mut self, name: &str, rad: f64, before: Option<(f64, u64)>, now_ms: u64) {
         let what = if rad.abs() > TURNS_MAX * TAU {
             format!("{name} is told to be at {rad:.0} rad: no joint turns that often")

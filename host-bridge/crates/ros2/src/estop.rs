@@ -66,7 +66,7 @@ impl Inputs {
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
-            // A publisher that has disappeared cannot revoke its message, so the next existing one does.
+            // A publisher that has disappeared cannot revoke its message, so the next existing publisher revokes it.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }

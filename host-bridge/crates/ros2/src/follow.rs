@@ -1,5 +1,5 @@
 //! The arm's action on the graph.
-//! Requests depend on the vendor of its server, which is known once the server is discovered.
+//! Requests depend on the vendor of the action's server, which is known once the server is discovered.
 
 use ros2_client::action::ActionClient;
 use ros2_client::action_msgs::GoalStatusEnum;

@@ -16,7 +16,7 @@ use host_topics::message as ros;
 const GOALS_MAX: usize = 64;
 /// The reason given for a robot whose gripper is not configured.
 pub const NO_GRIPPER: &str = "this robot's gripper is not driven";
-/// The last part of the topic on which its server reads requests.
+/// The last part of the topic on which the gripper's server reads requests.
 const REQUEST: &str = "/_action/send_goalRequest";
 
 /// The kinds of action, with the type of their requests.

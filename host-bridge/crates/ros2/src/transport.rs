@@ -184,7 +184,7 @@ pub struct ToldState {
 impl ros2_client::Message for ToldState {}
 
 impl ToldState {
-    /// The factor by which the controller scales speeds, if it reports it.
+    /// The factor by which the controller scales speeds, if this is reported.
     pub fn scaling(&self) -> Option<f64> {
         self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
     }

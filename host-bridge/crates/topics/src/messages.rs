@@ -271,7 +271,7 @@ impl Origin {
         Entry::new(Topic::Hands, now.time_ms, &hands)
     }
 
-    /// What the base is asked for.
+    /// Reports the commanded speed of the base.
     pub fn twist(self, now: &Now<'_>) -> Entry {
         let twist =
             ros::TwistStamped { header: self.header(now.time_ms, BASE), twist: now.bridge.twist().into() };

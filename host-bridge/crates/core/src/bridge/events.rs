@@ -77,7 +77,7 @@ pub enum EventKind {
         heading: Heading,
         /// The resulting speed of the base.
         twist: Twist,
-        /// Board clock at the sample.
+        /// Time of the sample on the board's clock.
         sample_board_ms: u32,
         /// Age of the sample.
         age_ms: u64,
@@ -97,9 +97,9 @@ pub enum EventKind {
         label: String,
         /// 0 to 1.
         confidence: f32,
-        /// Board clock at the end of the deciding window.
+        /// Time of the deciding window's end on the board's clock.
         window_end_board_ms: u32,
-        /// Age of the end of that window.
+        /// Time since the end of that window.
         age_ms: u64,
         /// The effect of the gesture.
         outcome: GestureOutcome,

@@ -14,7 +14,7 @@ pub(super) fn command(heading: Heading) -> Heading {
     if heading == Heading::Between { Heading::Neutral } else { heading }
 }
 
-/// Returns whether the right hand rests. Without scores this is unknown.
+/// Returns whether the right hand rests. Without scores, this is unknown.
 /// A model without a rest label cannot detect rest, so the bridge does not wait for it.
 pub(super) fn rests(labels: &[String], scores: &[f32]) -> bool {
     if scores.is_empty() || scores.len() != labels.len() {

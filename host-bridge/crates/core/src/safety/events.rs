@@ -11,7 +11,7 @@ use crate::tilt::Tilt;
 pub struct Gesture {
     /// Index in the model's labels.
     pub label: u8,
-    /// Current age of the end of the gesture's window.
+    /// Time since the end of the gesture's window.
     pub age_ms: u64,
     /// This gesture ends a stop.
     pub releases: bool,
@@ -112,7 +112,7 @@ pub enum Ignored {
     ImpossibleBends,
     /// The bends arrived while not armed.
     BendsWhileNotArmed,
-    /// The release key was pressed while a right hand is connected, or before 1 s of neutral.
+    /// The release key was pressed while a right hand was connected, or before 1 s of neutral.
     ReleaseKey,
 }
 

@@ -47,7 +47,7 @@ impl Watch {
     pub(super) fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
         let sample_ms = now_ms.saturating_sub(age_ms);
         self.live = true;
-        // Ages jitter, but the time of a hand's samples never decreases.
+        // Ages vary slightly, but the time of a hand's samples never decreases.
         self.sample_ms = self.sample_ms.max(sample_ms);
         if !neutral {
             self.neutral = None;

@@ -34,7 +34,7 @@ pub struct ModelFile {
 /// The reason why a model or its recordings cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// Model or card cannot be read, or they do not match.
+    /// The model or its card cannot be read, or they do not match.
     #[error(transparent)]
     Model(#[from] models::blob::ModelError),
     /// This program cannot run the model.
@@ -87,7 +87,7 @@ impl ModelFile {
     /// Reads an int8 `.tflite` file and its card.
     ///
     /// # Errors
-    /// [`ModelFileError`] if they are missing or damaged, or do not match.
+    /// [`ModelFileError`] if one of the files is missing or damaged, or they do not match.
     pub fn read(file: &Path) -> Result<Self, ModelFileError> {
         let (blob, card) = models::blob::read(file)?;
         Ok(ModelFile { blob, card })
@@ -263,7 +263,7 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
 /// Plays a recording like the Nano 33 BLE Sense.
 pub struct RightBoard<'m> {
     recording: Recording,
-    /// Samples that do not exist, in order.
+    /// Ranges of missing samples, in order.
     silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,

@@ -152,7 +152,7 @@ impl Waiter {
         usual
     }
 
-    /// Call this after a read of [`Waiter::patience`] without input.
+    /// Call this after a blocking read without input; [`Waiter::patience`] returns the time for such a read.
     pub fn pause(&self) {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {

@@ -76,7 +76,7 @@ impl Drop for End {
             lane.lock().has_ended = true;
             lane.came.notify_all();
         }
-        // This is closed when the last thread drops its side of the channel.
+        // The channel is closed when the last thread drops its side.
         let ended = self.ended.get_mut().unwrap_or_else(PoisonError::into_inner);
         let _ = ended.recv_timeout(LAST_WORDS);
     }
@@ -146,7 +146,7 @@ impl Outbox {
         self.end.ids.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Carries this out in its turn.
+    /// Carries this order out in its turn.
     pub fn order(&self, order: Order) {
         let lane = self.lane(order.lane());
         lane.lock().order(order);

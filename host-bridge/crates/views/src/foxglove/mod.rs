@@ -5,7 +5,7 @@
 //! session loop ─► Teller ─► Feed ══ a bounded queue per viewer ══► a thread per viewer ─► Foxglove
 //! ```
 //!
-//! `protocol`: the protocol's messages, without sockets,
+//! * `protocol`: the protocol's messages, without sockets,
 //! * `viewer`: the connection of one viewer.
 //!
 //! Viewers are passive and cannot move or stop anything.

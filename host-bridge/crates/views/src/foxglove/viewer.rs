@@ -35,7 +35,7 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     let seen = Arc::new(Seen::default());
     let queue = shared.join(&seen);
-    // Whatever ends the connection, the viewer displays this and reconnects.
+    // The viewer displays any end of the connection, and reconnects.
     let _ = Viewer { socket, place, shared, queue, seen, wanted: Subscriptions::default() }.run();
 }
 

@@ -17,7 +17,7 @@ use super::records::records;
 
 use super::sink::END;
 
-/// Adds the index to a file of ours that was not closed. Returns true if it did.
+/// Adds the index to a file of ours that was not closed. Returns true if it added one.
 ///
 /// # Errors
 /// Fails if the file cannot be read or written. It is then unchanged.

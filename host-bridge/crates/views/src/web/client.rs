@@ -75,7 +75,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Share
         taken: 0,
         taken_at: Instant::now(),
     };
-    // Whatever ends the connection, the page displays this and reconnects.
+    // The page displays any end of the connection, and reconnects.
     let _ = page.run();
 }
 

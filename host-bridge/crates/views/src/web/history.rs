@@ -148,7 +148,7 @@ impl Frame {
     pub fn to_json(&self) -> String {
         let Frame { version, state, bends_permille, imu, events, path, trace } = self;
         let news = News { bends_permille: *bends_permille, imu, events, path, trace };
-        // The data consists of numbers, texts and lists, which cannot fail.
+        // This cannot fail, because the data consists of numbers, texts and lists.
         let news = serde_json::to_string(&news).unwrap_or_default();
         format!(r#"{{"frame":{version},"state":{state},"news":{news}}}"#)
     }
