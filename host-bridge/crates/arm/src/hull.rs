@@ -1,11 +1,11 @@
 //! Convex hulls of meshes, and capsules that enclose them (feature `urdf`).
 //!
-//! The hull is computed by Quickhull (Barber, Dobkin and Huhdanpaa 1996). Each point is first moved by less than
-//! [`JOGGLE`] of the points' extent, so that no three of them lie on a line and no four in a plane. This error is
-//! much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
+//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull. Each point is first moved by less than [`JOGGLE`]
+//! of the points' extent, so that no three points lie on a line and no four in a plane.
+//! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
-//! One capsule around a box, or around a link that is thick on one side, would be too thick. A hull is therefore cut by
-//! planes as long as this reduces the protrusion of the capsules. Each piece is convex, so its capsule encloses it.
+//! One capsule around a box, or around a link that is thick on one side, would be too thick.
+//! A hull is therefore cut by planes as long as the capsules then protrude less. Each capsule encloses its convex piece.
 
 use std::collections::BTreeMap;
 

@@ -80,7 +80,7 @@ type Six = [f64; 6];
 /// The first attempt starts at `start_rad`, so a solution near it is found first.
 ///
 /// # Errors
-/// [`Unreachable`], at the latest when [`Budget::DEFAULT`] is used up.
+/// Returns [`Unreachable`], at the latest when [`Budget::DEFAULT`] is used up.
 pub fn solve(
     arm: &SerialArm,
     target: &Pose,
@@ -123,7 +123,7 @@ pub fn steps(found: &Result<Solution, Unreachable>) -> u64 {
 /// Runs only the search, with a custom budget.
 ///
 /// # Errors
-/// [`Unreachable::NotFound`] when the budget is used up.
+/// Returns [`Unreachable::NotFound`] when the budget is used up.
 pub fn search(
     arm: &SerialArm,
     target: &Pose,

@@ -1,8 +1,8 @@
 //! The model of a serial arm: joints, limits, shapes of its links, named poses, and forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to eight joints that turn or slide comes from a
-//! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
-//! [`Joints`] at zero.
+//! The Gen3 is built in ([`SerialArm::gen3`]). Any other arm comes from a URDF file (feature `urdf`, see `arm/urdf.rs`).
+//! An arm may have up to eight joints that turn or slide.
+//! The missing values of [`Joints`] stay at zero.
 
 use std::f64::consts::TAU;
 
@@ -105,8 +105,8 @@ impl ArmJoint {
 }
 
 impl SerialArm {
-    /// Returns the Kinova Gen3 with seven joints and the parameters of [`super::gen3`],
-    /// whose links are capsules around Kinova's meshes.
+    /// Returns the Kinova Gen3 with seven joints and the parameters of [`super::gen3`].
+    /// The links are capsules around Kinova's meshes.
     /// Objects on its flange are [tools](crate::tool), for example its vision module.
     pub fn gen3() -> Self {
         let joints = (0..COUNT).map(|i| {
@@ -165,8 +165,8 @@ impl SerialArm {
     }
 
     /// Returns an equivalent pose whose continuous joints are close to their current angles, so that the path is short.
-    /// Joints never turn by more than one revolution in either direction,
-    /// because descriptions of such arms (for example ros2_kortex's) end there.
+    /// Joints never turn by more than one revolution in either direction, because descriptions of such arms end there.
+    /// One such description is ros2_kortex's.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -220,8 +220,7 @@ impl SerialArm {
         limits
     }
 
-    /// Returns the distance between the flange's position and the arm's reach,
-    /// under the assumption that the arm's middle joints could stretch freely.
+    /// Returns how far the flange's position is beyond the arm's reach, as if the middle joints could stretch freely.
     /// If the result is 0 or less, the position may be within reach.
     /// The function also detects positions whose orientation turns the last link away.
     ///
@@ -250,9 +249,9 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it: a turn by
-    /// an angle moves no point further than the angle times this distance. For a sliding joint, the value is 1, because
-    /// each point moves exactly as far as the joint.
+    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it.
+    /// A turn by an angle moves no point further than the angle times this distance.
+    /// For a sliding joint, the value is 1, because each point moves exactly as far as the joint.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }

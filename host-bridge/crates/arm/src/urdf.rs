@@ -1,9 +1,9 @@
 //! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
-//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. This includes links
-//! fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read. Other meshes are reported
-//! ([`SerialArm::notes`]) and replaced by lines of a given radius from the link's frame to the next joints, or by
-//! a ball if there is no next joint, and so is a moving link without any shape. Fixed links only add shapes.
+//! Shapes of `<collision>` (boxes, cylinders, capsules and spheres) become capsules that enclose them.
+//! This includes links fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read.
+//! Other meshes are reported ([`SerialArm::notes`]) and replaced by lines of a given radius to the next joints.
+//! A ball replaces them if no joint follows. Moving links without shapes are replaced likewise; fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};

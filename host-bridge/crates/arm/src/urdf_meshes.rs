@@ -1,7 +1,7 @@
 //! Replaces the meshes of a URDF by convex hulls (feature `urdf`).
 //!
-//! The corners of the hulls are written into the URDF itself, in place of the file names. The URDF then needs no other
-//! files, so a recorded session needs no meshes.
+//! The corners of the hulls are written into the URDF itself, in place of the file names.
+//! A recorded session therefore needs no mesh files.
 
 use std::collections::BTreeMap;
 
@@ -21,8 +21,8 @@ pub struct Alone {
     pub notes: Vec<String>,
 }
 
-/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls. `read` returns a mesh by its name
-/// in the file, or the reason why it cannot be read. Such a mesh stays in the file, and the notes name it.
+/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls.
+/// `read` returns a mesh by its name in the file, or the reason for a failure. Such a mesh stays, and the notes name it.
 ///
 /// # Errors
 /// The errors of [`crate::urdf::parse`] about the joints from root to tip.

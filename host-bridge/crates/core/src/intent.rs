@@ -142,7 +142,7 @@ impl MotionMap {
     /// Adds or replaces one entry, in the form `LABEL=MOTION`.
     ///
     /// # Errors
-    /// [`MapError`] if the text does not have this form, or maps a rest label.
+    /// Returns [`MapError`] if the text does not have this form, or maps a rest label.
     pub fn assign(&mut self, mapping: &str) -> Result<(), MapError> {
         let (label, motion) = mapping
             .split_once('=')

@@ -13,8 +13,8 @@
 //! An observer passes results to its owner, for example through a channel or a shared cell.
 //!
 //! Observers run inside the session's loop, so they must not block.
-//! An observer with slow outputs passes data through a bounded channel to a separate thread,
-//! and drops data that does not fit.
+//! An observer with slow outputs passes data through a bounded channel to a separate thread.
+//! The observer drops data that does not fit.
 //! Observers return nothing, so they cannot move or stop the robot.
 //!
 //! `tests/adding.rs` of host-bridge contains an observer of eight lines.

@@ -2,8 +2,8 @@
 //!
 //! As with the four headings, the board decides whether the base drives at all.
 //! A command starts with an intended tilt, and ends below the board's threshold, as with the headings.
-//! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate;
-//! combined, they drive an arc.
+//! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate.
+//! Together, the two tilts drive an arc.
 //! Silence, neutral, stops, caps and the guard work as with the four headings.
 
 use serde::{Deserialize, Serialize};

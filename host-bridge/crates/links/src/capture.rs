@@ -54,7 +54,7 @@ impl Collector {
     /// Adds a batch of samples. Returns true if there are enough samples.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if the batch does not continue the previous one.
+    /// Returns [`CaptureProblem`] if the batch does not continue the previous one.
     pub fn push(&mut self, batch: &RawBatch) -> Result<bool, CaptureProblem> {
         let axes = usize::from(batch.axes);
         let after_ms = self.len() as u64 * 1000 / u64::from(self.sample_hz.max(1));
@@ -139,7 +139,7 @@ impl LeftCollector {
     /// Adds a sample. Returns true if there are enough samples.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if the sample does not continue the previous one.
+    /// Returns [`CaptureProblem`] if the sample does not continue the previous one.
     pub fn push(&mut self, raw: &RawAdc) -> Result<bool, CaptureProblem> {
         if self.samples.is_empty() {
             self.first_ms = raw.board_time_ms;
@@ -178,8 +178,8 @@ impl LeftCollector {
         self.samples.iter().filter(|(_, counts)| counts.as_array().into_iter().any(ends)).count()
     }
 
-    /// Returns one of the five channels in the newest `count` samples, oldest first,
-    /// as fractions of the converter's range.
+    /// Returns one of the five channels in the newest `count` samples, oldest first.
+    /// The values are fractions of the converter's range.
     pub fn newest(&self, line: usize, count: usize) -> Vec<f32> {
         let from = self.samples.len().saturating_sub(count);
         let part = |counts: &AdcCounts| f32::from(counts.as_array()[line]) / f32::from(AdcCounts::MAX);

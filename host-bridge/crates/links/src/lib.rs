@@ -2,8 +2,7 @@
 //!
 //! * [`links`]: ports, and the clock that they share,
 //! * [`hands`], [`keyboard`]: hands that behave like boards inside this program, and [`wire`], the line between them,
-//! * [`talk`], [`upload`], [`capture`], [`survey`]: communication with a single board, for `doctor`, `record` and
-//!   `send-model`,
+//! * [`talk`], [`upload`], [`capture`], [`survey`]: communication with one board, for programs such as `doctor`,
 //! * [`showing`]: gestures that a wearer shows during a session, and the transfer of the trained model to the board.
 
 pub mod capture;

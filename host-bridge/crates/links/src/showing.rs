@@ -5,8 +5,8 @@
 //!   └ record mode: the board sends samples but no states, so the robot stands still during every gesture ┘
 //! ```
 //!
-//! The owner sends the messages of [`Showing::poll`], passes on the board's bytes, and trains elsewhere on the data of
-//! [`Showing::take_shown`]. All functions here return quickly.
+//! The owner sends the messages of [`Showing::poll`] and passes on the board's bytes.
+//! All functions here return quickly, so the training on the data of [`Showing::take_shown`] runs elsewhere.
 
 use models::recording::Recording;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};

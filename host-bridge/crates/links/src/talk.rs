@@ -288,7 +288,7 @@ impl Talk {
     /// Asks the board for its identity, twice per second as soon as this is safe.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open, no answer arrives in time, or the board cannot be used.
+    /// Returns [`TalkError`] if the port does not open, no answer arrives in time, or the board cannot be used.
     pub fn hello(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let who = self.meet(patience_ms)?;
         match &who.problem {
@@ -300,7 +300,7 @@ impl Talk {
     /// Like [`Talk::hello`], but also accepts a board that cannot be used.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open or no answer arrives in time.
+    /// Returns [`TalkError`] if the port does not open or no answer arrives in time.
     pub fn meet(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let patience_ms = if is_ble(self.port()) { patience_ms.max(BLE_MEET_MS) } else { patience_ms };
         let until_ms = self.now_ms() + patience_ms;
@@ -359,7 +359,7 @@ impl Talk {
     /// Sends a request every second until its final answer arrives; `Started` only extends the wait.
     ///
     /// # Errors
-    /// [`TalkError`] if the link fails, no answer arrives in time, or the board refuses.
+    /// Returns [`TalkError`] if the link fails, no answer arrives in time, or the board refuses.
     pub fn request(
         &mut self,
         patience_ms: u64,

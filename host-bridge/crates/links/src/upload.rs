@@ -74,7 +74,7 @@ impl Upload {
     /// Creates a transfer of this blob, which has not begun. Its first message has the number `request`.
     ///
     /// # Errors
-    /// [`ModelError`] if the bytes are not a model.
+    /// Returns [`ModelError`] if the bytes are not a model.
     pub fn new(blob: &[u8], request: u16) -> Result<Self, ModelError> {
         let model_id = Model::parse(blob)?.info().model_id;
         let blob = blob.to_vec();
@@ -101,8 +101,8 @@ impl Upload {
         (done, self.blob.len())
     }
 
-    /// Returns the message to send now, if any: once, and again if no answer arrives. Call [`Upload::unsent`]
-    /// if the link did not accept the message.
+    /// Returns the message to send now, if any: once, and again if no answer arrives.
+    /// Call [`Upload::unsent`] if the link did not accept the message.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =
             if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
@@ -302,8 +302,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
-        /// Whatever messages are lost or repeated, and even if the board restarts a few times,
-        /// the complete model is finally stored.
+        /// Messages may be lost or repeated, and the board may restart a few times.
+        /// The complete model is stored nevertheless.
         #[test]
         fn losses_repetitions_and_restarts_only_cost_time(
             fates in prop::collection::vec(0u8..20, 0..200),

@@ -40,8 +40,8 @@ pub struct BaseConfig {
 }
 
 impl Default for BaseConfig {
-    /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim,
-    /// which suffices for the highest possible cap (1.0 m/s).
+    /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim.
+    /// These values suffice for the highest possible cap (1.0 m/s).
     /// After one metre, the standard deviation of a wheel's distance is 1 cm.
     fn default() -> Self {
         BaseConfig {
@@ -58,8 +58,8 @@ impl Default for BaseConfig {
 const SPEED_VARIANCE_MIN: f64 = 1e-6;
 
 impl BaseConfig {
-    /// Returns the covariance of linear (m/s) and angular speed (rad/s), averaged over `interval_s`,
-    /// for wheel speeds in rad/s.
+    /// Returns the covariance of linear (m/s) and angular speed (rad/s), averaged over `interval_s`.
+    /// The wheel speeds are in rad/s.
     /// The covariance results from the same distance errors of the wheels as the covariance of the pose.
     pub fn speed_covariance(&self, wheels_rad_s: [f64; 2], interval_s: f64) -> [[f64; 2]; 2] {
         let [left, right] = wheels_rad_s.map(|wheel| {

@@ -188,13 +188,13 @@ pub trait Door {
     /// Starts an arm motion.
     ///
     /// # Errors
-    /// [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
+    /// Returns [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
 
     /// Checks whether a hand could move the tool now.
     ///
     /// # Errors
-    /// [`NotStarted`] while a motion runs, or if this robot's arm cannot be moved that way.
+    /// Returns [`NotStarted`] while a motion runs, or if this robot's arm cannot be moved that way.
     fn can_jog(&self) -> Result<(), NotStarted> {
         Err(NotStarted::Refused("this robot's arm cannot be moved by hand".to_owned()))
     }

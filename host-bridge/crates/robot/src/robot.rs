@@ -94,8 +94,8 @@ pub trait Robot {
     /// `None` means unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
-    /// Returns the position at which the controller holds the resting arm,
-    /// which may differ by a few hundredths of a radian.
+    /// Returns the position at which the controller holds the resting arm.
+    /// The position may differ from the reported one by a few hundredths of a radian.
     /// A motion from this position starts without a jump. `None` means that the robot does not report it.
     fn held_rad(&self) -> Option<Joints> {
         None
@@ -133,9 +133,9 @@ pub trait Robot {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
 
-    /// Changes the rest of the running trajectory. Up to `from_s` of its own time, which is at least
-    /// [`Robot::ahead_ms`] from now, the new trajectory must equal the old one. It ends at rest, so that the arm also
-    /// comes to rest if no further call follows.
+    /// Changes the rest of the running trajectory, from `from_s` of its own time on.
+    /// `from_s` is at least [`Robot::ahead_ms`] from now. Until then, the new trajectory must equal the old one.
+    /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
     /// # Errors
     /// The reason why it cannot be changed. The arm then continues as before.

@@ -149,8 +149,8 @@ fn outside_m(point: Point, half: Point) -> f64 {
 }
 
 /// Distance from a segment to a box around the origin.
-/// Along the segment, the squared distance is convex and consists of parabolas that meet at the planes
-/// of the box's sides.
+/// Along the segment, the squared distance is convex and consists of parabolas.
+/// The parabolas meet at the planes of the box's sides.
 /// The slope of the squared distance is piecewise linear, so its zero can be found exactly.
 fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     let d = b - a;

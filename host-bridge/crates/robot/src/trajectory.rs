@@ -1,7 +1,7 @@
 //! Motion along several straight segments in joint space, with constant accelerations or constant jerks.
 //!
-//! Between two corners the speed is constant. Around a corner it changes to that of the next segment without a stop
-//! (a parabolic blend, Kunz and Stilman 2011).
+//! Between two corners, the speed is constant. Around a corner, the speed changes to that of the next segment.
+//! The change needs no stop (a parabolic blend, Kunz and Stilman 2011).
 //! Speeds within a blend are between those of the segments, and the slowest joint determines its duration.
 //! Position, speed and acceleration therefore respect their limits at every instant, not only at samples.
 //! On a single segment, the slowest joint determines v = min(vᵢ/|Δqᵢ|) and a = min(aᵢ/|Δqᵢ|).
@@ -126,8 +126,8 @@ impl Trajectory {
         Trajectory::ending_at(joints_rad)
     }
 
-    /// Returns this motion up to `at_s`. Then the acceleration changes to the given one within `for_s` seconds (at
-    /// constant jerk, or at once without a jerk limit), and the arm brakes. Parts over `keep_s` before `at_s` are cut.
+    /// Returns this motion up to `at_s`, after which the arm changes to the given acceleration within `for_s` seconds.
+    /// The jerk is constant (or unlimited). Finally, the arm brakes. Parts over `keep_s` before `at_s` are cut.
     #[must_use]
     pub fn continued(
         &self,

@@ -1,6 +1,6 @@
 //! The common part of all action clients.
-//! The client is created for the vendor of its server. It stores the goals that were sent,
-//! and reads the server's reports about them.
+//! The client is created for the vendor of its server.
+//! The client stores the goals that were sent, and reads the server's reports about them.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
 use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};

@@ -1,10 +1,10 @@
 //! Compares the robot's clock with this machine's clock, and determines the stamps of commands.
 //!
-//! A received stamp was set shortly before arrival, so `stamp - local time` is the clock difference minus the
-//! transmission time.
+//! A received stamp was set shortly before arrival.
+//! `stamp - local time` is therefore the clock difference minus the transmission time.
 //! The largest such value of the last seconds is the most accurate one.
-//! A robot that stamps its states late looks like one whose clock is behind,
-//! and is equally unsuitable for stamped commands.
+//! A robot that stamps its states late looks like one whose clock is behind.
+//! Both robots are unsuitable for stamped commands.
 //!
 //! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 

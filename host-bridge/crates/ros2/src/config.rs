@@ -85,11 +85,11 @@ pub struct Ros2Config {
     pub zenoh_connect: Vec<String>,
     /// Zenoh's own configuration file, which overrides `zenoh_connect`; empty: `ZENOH_SESSION_CONFIG_URI`, or none.
     pub zenoh_config: String,
-    /// Addresses of the network interfaces to use; empty means all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
-    /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` if nothing else is specified.
+    /// Addresses of the network interfaces to use; empty means all, unless an environment variable restricts them:
+    /// `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]`.
     pub interfaces: Vec<IpAddr>,
-    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`,
-    /// which follows the subscriber.
+    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`.
+    /// The value `"auto"` follows the subscriber.
     pub stamped: Stamped,
     /// The stamps that speeds get.
     pub stamp: Stamp,

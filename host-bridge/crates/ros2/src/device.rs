@@ -1,7 +1,7 @@
 //! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
-//! RustDDS binds its listeners to 0.0.0.0, whatever networks are chosen,
-//! so anyone who can reach this machine can send data to them.
+//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks.
+//! Anyone who can reach this machine can therefore send data to them.
 //! On Linux, a socket can be bound to a device later. Other systems do not permit this, which is reported.
 
 #[cfg(target_os = "linux")]

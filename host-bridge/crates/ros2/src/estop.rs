@@ -1,8 +1,7 @@
 //! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
 //! Each flag is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
-//! A flag also stops them while it has no publisher, before its first message,
-//! or (with a timeout) after too long a silence.
+//! A flag that has no publisher, has sent no message yet, or (with a timeout) is silent for too long stops them, too.
 //! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -154,7 +154,7 @@ impl Joined {
     /// Joins the graph. With `publish_sim`, it also publishes the simulator's state.
     ///
     /// # Errors
-    /// [`NodeError`] if the domain or a topic is not available.
+    /// Returns [`NodeError`] if the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -267,7 +267,7 @@ impl Joined {
     /// Publishes speeds with the other type from now on.
     ///
     /// # Errors
-    /// [`NodeError`] if the topic cannot be created.
+    /// Returns [`NodeError`] if the topic cannot be created.
     pub fn restamp(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
         self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
         Ok(())

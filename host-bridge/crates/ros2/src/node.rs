@@ -1,7 +1,7 @@
 //! The node on the graph, which receives and sends messages. It makes no decisions.
 //!
-//! Its middleware ([`Transport`]) has its own threads, so all functions here return at once. If these threads
-//! end, a separate thread reopens the node. This module needs the feature `ros2`.
+//! Its middleware ([`Transport`]) has its own threads, so all functions here return at once.
+//! If these threads end, a separate thread reopens the node. This module needs the feature `ros2`.
 
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
@@ -58,7 +58,7 @@ impl RosNode {
     /// Check [`RosNode::rivals`] before the first [`RosPublisher::publish_sim`].
     ///
     /// # Errors
-    /// [`NodeError`] if the domain or a topic is not available.
+    /// Returns [`NodeError`] if the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,

@@ -155,7 +155,7 @@ pub type Opened = (Box<dyn Transport>, Box<dyn Voice>);
 /// Joins the graph as configured. With `publish_sim`, it also publishes the simulator's state.
 ///
 /// # Errors
-/// [`NodeError`] if the domain, the router or a topic is not available.
+/// Returns [`NodeError`] if the domain, the router or a topic is not available.
 pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> Result<Opened, NodeError> {
     match config.transport {
         Carrier::Dds => {

@@ -1,7 +1,7 @@
 //! The vendor of a participant's DDS, and the wrapping of its services' requests.
 //!
-//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) stores the vendor's id in the first two bytes
-//! of every GUID prefix.
+//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) assigns an id to each vendor.
+//! The id is in the first two bytes of every GUID prefix.
 //! The two bytes equal the id in the participant's announcements.
 
 use std::fmt;
@@ -51,8 +51,8 @@ impl fmt::Display for Vendor {
 pub enum Wrapping {
     /// The id is in 16 bytes before the message (`rmw_cyclonedds_cpp`).
     Cyclone,
-    /// The id is in the data's inline quality of service, as in DDS-RPC's enhanced mapping (`rmw_fastrtps_cpp`
-    /// and `rmw_connextdds`).
+    /// The id is in the data's inline quality of service, according to DDS-RPC's enhanced mapping.
+    /// `rmw_fastrtps_cpp` and `rmw_connextdds` use this form.
     Rpc,
 }
 

@@ -1,5 +1,5 @@
-//! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens that announce end points, and the
-//! attachment of each message. Sans-IO. The source is rmw_zenoh (`liveliness_utils`, `attachment_helpers`, `qos`).
+//! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens of end points, attachments of messages.
+//! This module is sans-IO. Its source is rmw_zenoh's code (`liveliness_utils`, `attachment_helpers`, `qos`).
 //! The names are compatible according to this source, but were not tested with rmw_zenoh itself.
 
 use super::advice::Endpoint;

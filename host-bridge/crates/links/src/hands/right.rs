@@ -87,7 +87,7 @@ impl ModelFile {
     /// Reads an int8 `.tflite` file and its card.
     ///
     /// # Errors
-    /// [`ModelFileError`] if one of the files is missing or damaged, or they do not match.
+    /// Returns [`ModelFileError`] if one of the files is missing or damaged, or they do not match.
     pub fn read(file: &Path) -> Result<Self, ModelFileError> {
         let (blob, card) = models::blob::read(file)?;
         Ok(ModelFile { blob, card })
@@ -96,7 +96,7 @@ impl ModelFile {
     /// Returns the bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the compiled-in files do not match.
+    /// Returns [`ModelFileError`] if the compiled-in files do not match.
     pub fn bundled() -> Result<Self, ModelFileError> {
         let name = Path::new("right-aligned.tflite");
         let card = Card::parse(Path::new("right-aligned.card.json"), BUNDLED_CARD)
@@ -153,7 +153,7 @@ impl ModelFile {
 /// At least `needed` axes must exist, and missing ones are 0.
 ///
 /// # Errors
-/// [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.
+/// Returns [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.
 pub fn join(
     files: &[PathBuf],
     (axes, needed): (usize, usize),
@@ -275,7 +275,7 @@ impl<'m> RightBoard<'m> {
     /// Creates a board that starts at time 0 with a recording at 100 Hz.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the model cannot run here or the recording has other axes.
+    /// Returns [`ModelFileError`] if the model cannot run here or the recording has other axes.
     pub fn new(recording: Recording, model: &'m ModelFile, boot_id: u32) -> Result<Self, ModelFileError> {
         let name = || model.name().to_owned();
         let parsed = model.model()?;

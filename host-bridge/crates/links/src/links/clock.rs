@@ -3,8 +3,8 @@
 //! A thread waits for time only through its [`Waiter`].
 //! In the released program, the waiter uses the machine's clock.
 //! With the feature `test-clock` (tests only), a test can control the time.
-//! The time then advances only when all waiters wait, so that board,
-//! the line and the program share the time at any load of the machine.
+//! The time then advances only when all waiters wait.
+//! Board, line and program therefore share the time at any load of the machine.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;

@@ -1,6 +1,6 @@
 //! A clock that a test controls through the socket in `BIMANUAL_TEST_CLOCK`.
-//! The test sends the time in milliseconds, and receives one byte when every participating thread waits
-//! for a later time.
+//! The test sends the time in milliseconds.
+//! The test receives one byte when every participating thread waits for a later time.
 //!
 //! This clock exists only with the feature `test-clock`, which no released program has.
 

@@ -1,5 +1,5 @@
-//! The node on Zenoh, with names as in rmw_zenoh: a session through a router, which reads and writes topics
-//! and calls actions. This module needs the feature `zenoh`.
+//! The node on Zenoh, with names as in rmw_zenoh.
+//! A session through a router reads and writes topics and calls actions. This module needs the feature `zenoh`.
 
 mod action;
 mod inbox;

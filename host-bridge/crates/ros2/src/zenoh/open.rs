@@ -21,8 +21,8 @@ use crate::zenoh_keys::{Named, Node, Quality, read_token, tokens_of};
 /// Maximum number of the arm's goals that are remembered.
 const GOALS_MAX: usize = 64;
 
-/// A link without any data for this long is closed, in ms. Messages that a closed link had accepted are
-/// lost; TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
+/// A link without any data for this long is closed, in ms. Messages that the closed link had accepted are lost.
+/// TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
 /// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
 const PATIENCE_US: &str = "60000000";
@@ -52,7 +52,7 @@ fn configuration(config: &Ros2Config, connection: &Connection) -> Result<Config,
 /// Joins the graph through a router.
 ///
 /// # Errors
-/// [`NodeError`] if no router answers, or a name is not available.
+/// Returns [`NodeError`] if no router answers, or a name is not available.
 pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> Result<Opened, NodeError> {
     let session = zenoh::open(configuration(config, connection)?).wait().map_err(|error| {
         NodeError(format!(

@@ -1,5 +1,5 @@
-//! Messages that wait to be sent, lane by lane: the newest message of each kind, at most [`ASKS_MAX`] requests,
-//! and one cancellation per goal, which is never refused. Sans-IO.
+//! Messages that wait to be sent, lane by lane. Sans-IO.
+//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait, and one cancellation per goal, never refused.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -13,8 +13,8 @@ const ASKS_MAX: usize = 32;
 /// Maximum number of waiting cancellations, which is also the number of goals that are remembered.
 const CANCELS_MAX: usize = 256;
 
-/// The lanes wait for the network independently: each has its own thread and its own queue in Zenoh, so that
-/// no lane delays another one.
+/// The lanes wait for the network independently, so that no lane delays another one.
+/// Each lane has its own thread and its own queue in Zenoh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lane {
     /// Cancellations come first, followed by the operator's stop, goals and other requests.
@@ -182,8 +182,8 @@ impl Waiting {
         std::mem::take(&mut self.withdrawn)
     }
 
-    /// Returns the next task: orders, cancellations, messages, requests. (A cancellation never overtakes its goal: a
-    /// goal that still waits is withdrawn first.)
+    /// Returns the next task: orders, cancellations, messages, requests.
+    /// (A cancellation never overtakes its goal: a goal that still waits is withdrawn first.)
     pub fn next(&mut self, now: Instant) -> Option<Job> {
         if let Some(order) = self.orders.pop_front() {
             return Some(Job::Order(order));

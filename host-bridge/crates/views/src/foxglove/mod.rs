@@ -146,7 +146,7 @@ impl Foxglove {
     /// Opens the port and serves it in a separate thread. The session's clock is zero at `origin`.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &FoxgloveOptions, origin: Origin) -> Result<Self, WebError> {
         let bound = Bound::new(&options.server, NAME)?;
         let origins = ORIGINS.iter().map(ToString::to_string).chain(options.origins.iter().cloned());

@@ -103,7 +103,7 @@ impl Web {
     /// Opens the port, and serves it in a separate thread.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
         Self::start_with(options, false)
     }

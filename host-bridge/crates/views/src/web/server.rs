@@ -98,7 +98,7 @@ impl Bound {
     /// Takes the port.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn new(options: &WebOptions, Name { what, option }: Name) -> Result<Self, WebError> {
         match &options.token {
             Some(token) if !gate::is_fit_as_token(token) => return Err(WebError::BadToken),
