@@ -5,7 +5,7 @@
 //! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick.
-//! A hull is therefore cut by planes as long as the capsules then protrude less. Each capsule encloses its convex piece.
+//! A hull is therefore cut by planes while this reduces the protrusion. Each capsule encloses its convex piece.
 
 use std::collections::BTreeMap;
 

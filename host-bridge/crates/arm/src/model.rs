@@ -1,6 +1,6 @@
 //! The model of a serial arm: joints, limits, shapes of its links, named poses, and forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]). Any other arm comes from a URDF file (feature `urdf`, see `arm/urdf.rs`).
+//! The Gen3 is built in ([`SerialArm::gen3`]). Any other arm comes from a URDF file (feature `urdf`, see `urdf.rs`).
 //! An arm may have up to eight joints that turn or slide.
 //! The missing values of [`Joints`] stay at zero.
 

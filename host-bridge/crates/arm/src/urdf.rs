@@ -3,7 +3,7 @@
 //! Shapes of `<collision>` (boxes, cylinders, capsules and spheres) become capsules that enclose them.
 //! This includes links fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read.
 //! Other meshes are reported ([`SerialArm::notes`]) and replaced by lines of a given radius to the next joints.
-//! A ball replaces them if no joint follows. Moving links without shapes are replaced likewise; fixed links only add shapes.
+//! A ball replaces them if no joint follows. Moving links without shapes are treated alike; fixed ones only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};

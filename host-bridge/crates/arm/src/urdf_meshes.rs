@@ -22,7 +22,7 @@ pub struct Alone {
 }
 
 /// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls.
-/// `read` returns a mesh by its name in the file, or the reason for a failure. Such a mesh stays, and the notes name it.
+/// `read` returns a mesh by its name in the file, or the reason for a failure. A failed mesh stays and gets a note.
 ///
 /// # Errors
 /// The errors of [`crate::urdf::parse`] about the joints from root to tip.

@@ -1,4 +1,4 @@
-//! Reasons against moving the arm: two writers of its angles, impossible angles, another program's goal, a scaled speed.
+//! Reasons against moving the arm: two writers of its angles, impossible angles, foreign goals, and a scaled speed.
 //! This module is sans-IO. Each reason is reported. While it applies, no motion starts, and a running one is stopped.
 
 use std::collections::BTreeMap;

@@ -28,7 +28,7 @@ pub struct Found {
 /// Reads the graph until a description arrives, but no longer than `wait`.
 ///
 /// # Errors
-/// Returns [`NodeError`] if the domain or topic is not available, or the robot is on Zenoh, whose graph is not read here.
+/// Returns [`NodeError`] if the domain or topic is not available, or the robot is on Zenoh, which is not read here.
 pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Result<Found, NodeError> {
     if config.transport == Carrier::Zenoh {
         let why = "a robot's description is read over DDS alone: save it to a file, and name that in the scene's [arm]";

@@ -1,5 +1,5 @@
 //! Messages that wait to be sent, lane by lane. Sans-IO.
-//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait, and one cancellation per goal, never refused.
+//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait. Cancellations (one per goal) always wait.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
