@@ -61,7 +61,7 @@ impl Almost {
                 Rise::None | Rise::Told => Rise::None,
             },
             Rise::Nearest(_, best) if mean > best => Rise::Nearest(label, mean),
-            // The scores fall, so the movement has ended, and the board would have reported it by now.
+            // The scores fall, so the movement has ended, and the board would have reported the gesture by now.
             Rise::Nearest(label, best) if mean < best / 2.0 => {
                 self.rise = Rise::Told;
                 return Some((label, best));

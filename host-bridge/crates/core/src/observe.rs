@@ -187,7 +187,7 @@ pub struct Snapshot {
     pub objects: Vec<SceneObject>,
     /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
-    /// Whether the left hand is lent to the arm. It then moves the tool while armed, and the base stands still.
+    /// Whether the left hand is lent to the arm. The hand then moves the tool while armed, and the base stands still.
     pub jogging: bool,
     /// The reason why the tool does not follow the hand, or `None`.
     pub jog_held: Option<String>,

@@ -209,7 +209,7 @@ impl World {
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
-            // Noise before the frame may have destroyed it.
+            // Earlier noise on the line may have destroyed the frame.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
                 // An overtaken state has no effect.

@@ -60,7 +60,7 @@ pub struct Showing {
 }
 
 enum Phase {
-    /// Record mode was asked for.
+    /// Record mode was requested from the board.
     Asking,
     /// The wearer gets ready.
     Ready { until_ms: u64 },

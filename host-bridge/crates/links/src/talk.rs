@@ -90,7 +90,7 @@ pub struct ModelNeeds {
     pub recipe: u8,
     /// Number of values per sample that the model needs.
     pub axes: u8,
-    /// Number of values per sample of the board; equal to the model's if the board does not report it.
+    /// Number of values per sample of the board; equal to the model's if the board reports no number.
     pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,

@@ -120,7 +120,7 @@ impl Base {
         }
     }
 
-    /// Creates a base that moves as reported. Missing wheel speeds are derived from its twist.
+    /// Creates a base that moves as reported. Missing wheel speeds are derived from the reported twist.
     pub fn at(config: BaseConfig, state: &BaseState) -> Self {
         let wheels = state.wheels.unwrap_or_else(|| Wheels {
             speed_rad_s: config.wheels_rad_s(state.odometry.twist),

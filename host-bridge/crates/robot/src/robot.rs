@@ -82,7 +82,7 @@ pub enum End {
     Halted,
 }
 
-/// A base and an arm. It always reports its measured state, never its commands.
+/// A robot with a base and an arm, which always reports its measured state and never its commands.
 ///
 /// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
 /// No method may block.
@@ -119,7 +119,7 @@ pub trait Robot {
     /// The reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
-    /// Makes the arm follow a trajectory that starts at its position. It replaces the current trajectory.
+    /// Makes the arm follow a trajectory that starts at its position. The new trajectory replaces the current one.
     ///
     /// # Errors
     /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
@@ -128,7 +128,7 @@ pub trait Robot {
     /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
     ///
     /// # Errors
-    /// The reason why it cannot be changed, with a remedy.
+    /// The reason why the trajectory cannot be changed, with a remedy.
     fn ahead_ms(&self) -> Result<u64, String> {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
@@ -138,7 +138,7 @@ pub trait Robot {
     /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
     /// # Errors
-    /// The reason why it cannot be changed. The arm then continues as before.
+    /// The reason why the trajectory cannot be changed. The arm then continues as before.
     fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
         self.ahead_ms().map(|_| ())
     }

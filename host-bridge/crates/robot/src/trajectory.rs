@@ -42,7 +42,7 @@ impl Piece {
     }
 }
 
-/// A motion that ends at rest. It starts at rest or (while braking) in motion.
+/// A motion that ends at rest. The motion starts at rest, or (while braking) at speed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     pieces: Vec<Piece>,
@@ -290,7 +290,7 @@ impl Trajectory {
         self.to_rad
     }
 
-    /// Returns the motion at `time_s` after the start. From the end on, it is at the goal and at rest.
+    /// Returns the motion at `time_s` after the start. After the end, the arm rests at the goal.
     pub fn motion(&self, time_s: f64) -> Motion {
         let next = self.pieces.partition_point(|piece| piece.start_s <= time_s);
         match self.pieces.get(next.saturating_sub(1)) {

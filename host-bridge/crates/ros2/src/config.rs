@@ -143,7 +143,7 @@ pub struct Ros2Config {
     /// Topic that reports this program's stop (true = stopped), in the form of twist_mux's locks.
     pub stopped: String,
     /// Topic of the base's odometry. Its stamps are compared with this machine's clock.
-    /// With `--publish-sim`, the simulator publishes its odometry here.
+    /// With `--publish-sim`, the simulator publishes its odometry on this topic.
     pub odom: String,
     /// Transforms of the simulator, if `--publish-sim` is given.
     pub tf: String,

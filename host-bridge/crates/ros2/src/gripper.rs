@@ -12,7 +12,7 @@ use super::config::Ros2Config;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
-/// Maximum wait for the confirmation of a cancellation. The requests for it continue afterwards.
+/// Maximum wait for the confirmation of a cancellation. The requests continue afterwards.
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// Maximum duration of a gripper's goal.
 const STRAY_MS: u64 = 60_000;
@@ -123,7 +123,7 @@ impl GripperLink {
     pub fn opening_m(&self, now_ms: u64) -> Option<Reading<f64>> {
         let (value, at_ms) = self.seen?;
         let age_ms = now_ms.saturating_sub(at_ms);
-        // If its joint is not reported regularly, the last result remains valid.
+        // If the gripper's joint is not reported regularly, the last result remains valid.
         (self.joint.is_empty() || age_ms <= TOLD_MS).then_some(Reading { value, age_ms })
     }
 

@@ -78,7 +78,7 @@ pub struct Joined {
     pub joint_states: Option<Subscription<ros::JointState>>,
     /// The base's odometry, whose stamps show the robot's clock.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// The arm controller's set point and state; silent while it is inactive.
+    /// The arm controller's set point and state; silent while the controller is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
     /// The status of the goals on the arm's action server, if we have no client for it.
     pub goals: Option<Subscription<GoalStatusArray>>,

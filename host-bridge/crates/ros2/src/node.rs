@@ -186,7 +186,7 @@ impl RosNode {
     }
 
     /// Examines the graph without moving a robot: it listens and sends a harmless request to the arm's server.
-    /// Call it often. It returns the results so far.
+    /// Call the function often; it returns the results so far.
     pub fn examine(&mut self, wall_s: f64, now_ms: u64) -> Heard {
         self.hear(wall_s, now_ms, |_| {});
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
@@ -259,7 +259,7 @@ impl RosNode {
         let dead = (self.joined.take(), lock(&self.published).take());
         let (config, connection, publish_sim) =
             (self.config.clone(), self.connection.clone(), self.publish_sim);
-        // Nothing waits for this, because closing a dead node may take time.
+        // No thread waits for the closing of a dead node, which may take time.
         std::thread::spawn(move || {
             drop(sender.send(transport::open(&config, &connection, publish_sim)));
             drop(dead);

@@ -263,7 +263,7 @@ impl RosRobot {
 }
 
 /// Returns whether a base has completed a tenth of a change in speed.
-/// Odometry noise is always smaller than that.
+/// Odometry noise is always smaller than this tenth.
 fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
     const SHARE: f64 = 0.1;
     let linear = (wanted.linear_m_s - then.linear_m_s, now.linear_m_s - then.linear_m_s);

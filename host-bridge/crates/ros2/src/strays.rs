@@ -11,7 +11,7 @@ struct Stray {
     cancelled_ms: u64,
     /// Latest end of the waiting time.
     until_ms: u64,
-    /// Whether it was reported as not running, which may be forged or refer to another server.
+    /// Whether the goal was reported as not running, which may be forged or refer to another server.
     is_said_over: bool,
 }
 

@@ -24,9 +24,9 @@ pub enum Event {
     Tick,
     /// A hand started: its hello had a boot id that is new on this link.
     Started(Hand),
-    /// A hand cannot be used because its version differs. It counts as silent.
+    /// A hand cannot be used because its version differs. The hand counts as silent.
     Unusable(Hand),
-    /// The hand answers no pings, so the age of its states is unknown. It counts as silent.
+    /// The hand answers no pings, so the age of its states is unknown. The hand counts as silent.
     Unanswered(Hand),
     /// A left-hand state that is newer than all earlier ones.
     Left {
@@ -72,7 +72,7 @@ pub enum Event {
     },
     /// The operator's stop, by a key or a button.
     StopKey,
-    /// The operator pressed and confirmed the release key. It counts only if no right hand is connected.
+    /// The operator pressed and confirmed the release key. The key counts only if no right hand is connected.
     ReleaseKey,
 }
 
@@ -86,7 +86,7 @@ pub enum HaltReason {
     Silence(Hand),
     /// No ping was answered for 500 ms.
     Unanswered(Hand),
-    /// The hand reports that it cannot be trusted.
+    /// The hand reports that its states cannot be trusted.
     Unhealthy(Hand),
     /// The hand is new or has restarted.
     Restart(Hand),
@@ -125,9 +125,9 @@ pub enum Action {
     ResetCaps,
     /// The state changed.
     Entered(State),
-    /// The stop is over. This alone starts no motion.
+    /// The stop is over. The release alone starts no motion.
     Released,
-    /// The left hand is lent to the arm, or (false) returned to the base. This alone starts no motion.
+    /// The left hand is lent to the arm, or (false) returned to the base. The change alone starts no motion.
     Lent(bool),
     /// These bends count.
     Bends {

@@ -133,7 +133,7 @@ impl ModelFile {
         &self.card.name
     }
 
-    /// Returns a description of the training data. It mentions simulated data.
+    /// Returns a description of the training data. The description mentions simulated data.
     pub fn about(&self) -> &str {
         &self.card.about
     }

@@ -33,7 +33,7 @@ pub fn is_serial_over_air(port: &str) -> bool {
     name.starts_with("rfcomm") || name.contains("HC-0") || name.to_lowercase().contains("bluetooth")
 }
 
-/// A link to a board of any kind. Dropping it closes it.
+/// A link to a board of any kind. Dropping the link closes it.
 pub enum Link {
     /// A serial port, either of a USB-serial chip or of the board's own USB.
     Serial(SerialLink),

@@ -27,7 +27,7 @@ const BOOTLOADER_SILENT_MS: u64 = 300;
 /// How a port is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SerialSettings {
-    /// Speed of the line. A board on native USB ignores it.
+    /// Speed of the line. A board on native USB ignores the speed.
     pub baud: u32,
     /// Nothing is sent for this long after the port was opened, unless the board sends first.
     pub settle_ms: u64,

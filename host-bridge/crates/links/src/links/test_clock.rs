@@ -33,7 +33,7 @@ struct State {
 #[derive(Debug)]
 struct Sitter {
     number: u64,
-    /// The thread waits for this time. If it has passed, the thread counts as busy.
+    /// The thread waits for this time, and counts as busy after it.
     until_ms: u64,
     /// The thread no longer waits.
     rung: bool,

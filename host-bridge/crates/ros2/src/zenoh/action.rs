@@ -126,7 +126,7 @@ impl Client {
         sent
     }
 
-    /// Requests the end of a goal. Returns whether this was accepted. A goal that has not been sent yet is dropped.
+    /// Requests the end of a goal. Returns whether the request was accepted. A goal that was not sent yet is dropped.
     pub fn cancel(&mut self, ours: u32) -> Sent {
         let Some(id) = self.goals.iter().find(|goal| goal.ours == ours).map(|goal| goal.id) else {
             return Sent::No;

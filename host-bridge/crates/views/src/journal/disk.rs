@@ -76,7 +76,7 @@ impl Disk {
     /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// The file cannot be created or written, or already exists. This is reported before anything moves.
+    /// The file cannot be created or written, or already exists. The error is reported before the robot moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,

@@ -20,7 +20,7 @@ use super::sink::END;
 /// Adds the index to a file of ours that was not closed. Returns true if it added one.
 ///
 /// # Errors
-/// Fails if the file cannot be read or written. It is then unchanged.
+/// Fails if the file cannot be read or written. The file is then unchanged.
 pub fn complete(file: &Path) -> Result<bool, String> {
     let about = |error: &dyn std::fmt::Display| format!("{}: {error}", file.display());
     let mut old = File::open(file).map_err(|error| about(&error))?;

@@ -75,7 +75,7 @@ impl Watcher {
 
 /// Publishes this as the newest state.
 pub(super) fn publish(shared: &Shared, now: &Now<'_>) {
-    // This cannot fail, because the data consists of numbers, texts and lists.
+    // Serialisation cannot fail, because the data consists of numbers, texts and lists.
     let state = serde_json::to_string(&Snapshot::of(now)).unwrap_or_default();
     let mut history = shared.history();
     history.state = state.into();
