@@ -86,7 +86,7 @@ type Ends = ([f64; 3], [f64; 3], f64);
 /// Capsules that enclose the arm's fixed base (first) and the link of each joint, in the link's own frame, in m.
 ///
 /// Each capsule is the smallest around all vertices of its mesh in kortex_description, plus 0.4 mm.
-/// (The bracelet is the one without vision module.) Capsules are convex, so they enclose the meshes' faces, too.
+/// The bracelet has no vision module. Capsules are convex, so they enclose the faces. `tests/arm_hulls.rs` checks them.
 const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
     ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),

@@ -58,7 +58,7 @@ use host_robot::shape::{Point, UprightBox};
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// One line for people.
+    /// A line of text for users.
     #[serde(default)]
     pub title: String,
     /// Size of the base and its wheels.

@@ -1,7 +1,7 @@
 //! The vendor of a participant's DDS, and the wrapping of its services' requests.
 //!
-//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) assigns an id to each vendor.
-//! The id is in the first two bytes of every GUID prefix.
+//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) puts the vendor's id into every GUID prefix.
+//! The id is in the first two bytes of the prefix.
 //! The two bytes equal the id in the participant's announcements.
 
 use std::fmt;

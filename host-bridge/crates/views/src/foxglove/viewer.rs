@@ -53,7 +53,7 @@ impl Viewer<'_> {
         self.socket.send(Message::text(server_info(self.shared.session)))?;
         self.socket.send(Message::text(advertise()))?;
         loop {
-            // This is read before the last check of the queue, so that all messages are sent at the end.
+            // The flag is read before the last check of the queue, so that all messages are sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             self.tell()?;
             if over {

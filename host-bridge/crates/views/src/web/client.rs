@@ -94,7 +94,7 @@ struct Page<'a> {
 impl Page<'_> {
     fn run(&mut self) -> Result<(), Error> {
         loop {
-            // This is read before the last check of the history, so that everything is sent at the end.
+            // The flag is read before the last check of the history, so that everything is sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             if over || self.sent - self.taken < IN_FLIGHT_MAX {
                 self.tell()?;
