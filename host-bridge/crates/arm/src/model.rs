@@ -55,7 +55,7 @@ pub struct SerialArm {
     pub root_link: String,
     /// The joints in order from the foot; there are one to eight.
     pub joints: Vec<ArmJoint>,
-    /// The flange in the last joint's frame.
+    /// Position of the flange in the last joint's frame, in m.
     pub flange_m: Point,
     /// Rotation of the flange relative to the last joint.
     pub flange_rotation: DMat3,

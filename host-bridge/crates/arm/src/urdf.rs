@@ -508,7 +508,7 @@ mod tests {
             (half_m - 0.15).abs() < 1e-12 && mast.a_m.lerp(mast.b_m, 0.5).abs_diff_eq(0.1 * DVec3::Y, 1e-12)
         );
         assert_eq!(*lamp, ball([0.0, 0.2, 0.0]));
-        // The flange's mesh becomes a line to the start of the finger, which moves by itself.
+        // The flange's mesh becomes a line to the start of the finger, which moves independently.
         assert_eq!(arm.joints[6].shapes.len(), 2, "{:?}", arm.joints[6].shapes);
         let [meshes, moving] = arm.notes.as_slice() else { panic!("{:?}", arm.notes) };
         assert!(meshes.contains("base, bumper, lamp, flange") && meshes.contains("50 mm"), "{meshes}");

@@ -14,7 +14,7 @@ pub struct Shapes<'r> {
     seen: Vec<&'r str>,
     /// Links whose meshes were not read.
     meshes: Vec<&'r str>,
-    /// Joints beside the chain that move by themselves.
+    /// Joints beside the chain that can move independently.
     moving: Vec<&'r str>,
 }
 

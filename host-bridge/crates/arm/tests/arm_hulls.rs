@@ -1,8 +1,8 @@
 //! Checks that the Gen3's capsules and the bundled tools enclose the makers' meshes.
 //!
 //! The test contains a few vertices that are far from each capsule's line.
-//! If the hulls of the complete meshes are available (`../shared/data/arm-hulls`, not part of this project),
-//! the test checks all their vertices.
+//! Hulls of the complete meshes may be available (`../shared/data/arm-hulls`, not part of this project).
+//! In this case, the test checks all their vertices.
 
 use std::path::Path;
 

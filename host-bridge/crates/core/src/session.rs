@@ -269,6 +269,6 @@ pub struct Frames {
 pub struct Latency {
     /// Time from the end of the deciding window to the arm's first joint velocity.
     pub window_end_to_arm: DelaySummary,
-    /// Time from the sample that starts a command to the first wheel speed (from rest only).
+    /// Time from the sample that starts a command to the first wheel speed (only for starts from rest).
     pub sample_to_wheels: DelaySummary,
 }

@@ -62,9 +62,9 @@ impl Tilts {
 pub struct TiltDrive {
     /// Whether speed and turn rate follow the tilt; otherwise, the paper's four headings apply.
     pub proportional: bool,
-    /// Smaller tilts cause no motion (8° = 140).
+    /// Smaller tilts cause no motion (8° are 140 mrad).
     pub dead_mrad: u16,
-    /// Tilts above this value cause the full cap (40° = 698).
+    /// Tilts above this value cause the full cap (40° are 698 mrad).
     pub full_mrad: u16,
     /// Factor for tilts between these two values. The result is limited to the cap.
     pub gain: f64,

@@ -41,7 +41,7 @@ struct Executing {
     cancelled_ms: Option<u64>,
 }
 
-/// The possible answers of servers of one kind of action, and of a forger.
+/// The possible answers of one kind of action server, and of a forger.
 struct Words<A> {
     accepted: A,
     rejected: A,

@@ -27,7 +27,7 @@ pub struct LeftBoard {
     board: VirtualLeft,
     /// Start of the next period if no sample arrives.
     period_ms: u64,
-    /// Calibration steps still to come with their times, the next one last.
+    /// The remaining calibration steps with their times; the next step is last.
     steps: Vec<(u64, CalibrationStep)>,
     /// Samples with a lower index were taken before the last step.
     before: usize,

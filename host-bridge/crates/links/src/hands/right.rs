@@ -231,7 +231,7 @@ pub struct Joined {
     pub silences: Vec<Range<usize>>,
     /// Notes about everything that was inferred, repaired or omitted while reading.
     pub notes: Vec<String>,
-    /// The first time in the first file, in ms.
+    /// The time of the first sample in the first file, in ms.
     pub start_ms: f64,
 }
 

@@ -1,5 +1,5 @@
 //! The outbox: each lane has a thread that passes messages to Zenoh. The control thread never waits for the network.
-//! Only these threads wait (congestion control "block"), and meanwhile a newer speed replaces the one that waits.
+//! Only the lanes' threads wait (congestion control "block"). Meanwhile, a newer speed replaces the one that waits.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};

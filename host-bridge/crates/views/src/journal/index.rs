@@ -81,7 +81,7 @@ fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
         let mut schemas = HashMap::from([(0, 0)]);
         let mut channels = HashMap::new();
         for record in records(bytes)? {
-            // Data after this damaged place was already lost.
+            // Any data after this damaged place had already been lost.
             let Ok(record) = record else { break };
             if let Record::Header(header) = &record {
                 (library, profile) = (header.library.clone(), header.profile.clone());

@@ -245,7 +245,7 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Adds a connection to the list. If the list is full, it closes the connection that has been silent for longest.
+/// Adds a connection to the list. If the list is full, the connection that has been silent for longest is closed.
 /// Connections other than pages are closed first. Returns true if one was closed.
 fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);
