@@ -1,5 +1,5 @@
-//! Inverse kinematics of three arms on 1,000 reachable places each: how many are found, and in which time. Writes the places
-//! for a judge, `tests/arms/kdl.py`.
+//! Solves the inverse kinematics of three arms for 1,000 reachable places each, and prints successes and times.
+//! It also writes the places, so that `tests/arms/kdl.py` can check the results.
 //!
 //! ```text
 //! cargo run --release -p host-arm --features urdf --example ik-times -- FOLDER
@@ -15,13 +15,13 @@ use host_robot::{Joints, Pose, Random};
 
 const PLACES: usize = 1000;
 
-/// Origin in m, roll, pitch and yaw in rad, limits in rad.
+/// Each joint has its origin in m, roll, pitch and yaw in rad, and its limits in rad.
 type Joint = ([f64; 3], [f64; 3], [f64; 2]);
 const PI: f64 = std::f64::consts::PI;
 const HALF: f64 = std::f64::consts::FRAC_PI_2;
 const TURN: f64 = std::f64::consts::TAU;
 
-/// Figures of Universal Robots' description; each joint turns about its own z axis.
+/// The figures are from Universal Robots' description; each joint turns about its own z axis.
 const UR5E: [Joint; 6] = [
     ([0.0, 0.0, 0.1625], [0.0, 0.0, 0.0], [-TURN, TURN]),
     ([0.0, 0.0, 0.0], [HALF, 0.0, 0.0], [-TURN, TURN]),
@@ -31,7 +31,7 @@ const UR5E: [Joint; 6] = [
     ([0.0, 0.0996, 0.0], [HALF, PI, PI], [-TURN, TURN]),
 ];
 
-/// The same of UFACTORY's xArm6.
+/// The same figures for UFACTORY's xArm6.
 const XARM6: [Joint; 6] = [
     ([0.0, 0.0, 0.267], [0.0, 0.0, 0.0], [-TURN, TURN]),
     ([0.0, 0.0, 0.0], [-HALF, 0.0, 0.0], [-2.059, 2.0944]),

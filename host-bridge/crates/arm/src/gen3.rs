@@ -7,13 +7,13 @@
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, JointLimits, Joints, joints};
 
-/// How many joints it has.
+/// Number of joints of the Gen3.
 pub const COUNT: usize = 7;
 
-/// Fastest joint speeds of the URDF in rad/s (80°/s and 70°/s).
+/// Maximum joint speeds in the URDF, in rad/s (80°/s and 70°/s).
 pub const MAX_VELOCITY_RAD_S: [f64; COUNT] = [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218];
 
-/// Largest joint acceleration in rad/s², the same for all joints (MoveIt configuration of kortex).
+/// Maximum joint acceleration in rad/s², the same for all joints (from kortex's MoveIt configuration).
 pub const MAX_ACCELERATION_RAD_S2: [f64; COUNT] = [8.6; COUNT];
 
 /// Fraction of [`MAX_VELOCITY_RAD_S`] that motions use, as in the paper.
@@ -24,8 +24,8 @@ pub const ACCELERATION_SCALING: f64 = 0.05;
 
 /// Jerk limit of all joints in rad/s³, used if jerk is limited. It is not scaled.
 ///
-/// We chose it so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova does not specify one.
-/// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach it in 4 ms.
+/// We chose this limit so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova specifies no limit.
+/// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach that acceleration in 4 ms.
 pub const MAX_JERK_RAD_S3: f64 = 4.3;
 
 /// Returns the arm's own limits, scaled as in the paper. Jerk is not limited.
@@ -33,15 +33,15 @@ pub fn paper_limits() -> JointLimits {
     crate::model::SerialArm::gen3().limits(VELOCITY_SCALING, ACCELERATION_SCALING)
 }
 
-/// Joints 2, 4 and 6 turn this far either way; `None` = without end.
+/// Joints 2, 4 and 6 turn by at most this angle in either direction; `None` means without a limit.
 pub const POSITION_LIMIT_RAD: [Option<f64>; COUNT] =
     [None, Some(2.24), None, Some(2.57), None, Some(2.09), None];
 
-/// Joint names of ros2_kortex.
+/// Names of the joints in ros2_kortex.
 pub const JOINT_NAMES: [&str; COUNT] =
     ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"];
 
-/// The links that these joints turn, as ros2_kortex names them.
+/// Names of the links that these joints turn, as in ros2_kortex.
 pub const LINK_NAMES: [&str; COUNT] = [
     "shoulder_link",
     "half_arm_1_link",
@@ -51,7 +51,7 @@ pub const LINK_NAMES: [&str; COUNT] = [
     "spherical_wrist_2_link",
     "bracelet_link",
 ];
-/// The link that stands on the base.
+/// The link that stands on the mobile base.
 pub const ROOT_LINK: &str = "base_link";
 /// The link at the flange.
 pub const FLANGE_LINK: &str = "end_effector_link";
@@ -60,7 +60,7 @@ pub const FLANGE_LINK: &str = "end_effector_link";
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
-/// Origin of each joint (and, last, of the flange) in its parent's frame: metres, then quarter turns about x.
+/// Origin of each joint (and, last, of the flange) in its parent's frame: metres, followed by quarter turns about x.
 const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, 0.15643], 2),
     ([0.0, 0.005375, -0.12838], 1),
@@ -75,18 +75,18 @@ const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
 /// Returns the origin of a joint (or of the flange, last) in its parent's frame: metres and rotation.
 pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
     let (origin_m, quarters) = ORIGINS[joint];
-    // Exact, in contrast to sin and cos of pi.
+    // These values are exact, in contrast to the sine and cosine of pi.
     let turn = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
     (origin_m.into(), (0..quarters).fold(DMat3::IDENTITY, |turned, _| turned * turn))
 }
 
-/// Two ends and a radius.
+/// A capsule, given by two ends and a radius.
 type Ends = ([f64; 3], [f64; 3], f64);
 
-/// Capsules that enclose the arm's fixed base (first) and the link of each joint, in its own frame, in m.
+/// Capsules that enclose the arm's fixed base (first) and the link of each joint, in the link's own frame, in m.
 ///
-/// Each is the smallest that holds every vertex of the link's mesh in kortex_description (bracelet without vision module),
-/// and 0.4 mm more. A capsule is convex, so it holds the mesh, too. `tests/arm_hulls.rs` has vertices to hold against it.
+/// Each capsule is the smallest around all vertices of its mesh in kortex_description, plus 0.4 mm.
+/// The bracelet has no vision module. Capsules are convex, so they enclose the faces. `tests/arm_hulls.rs` checks them.
 const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
     ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),

@@ -1,29 +1,29 @@
 //! Convex hulls of meshes, and capsules that enclose them (feature `urdf`).
 //!
-//! A hull is found by Quickhull (Barber, Dobkin and Huhdanpaa 1996) among points that are moved by less than
-//! [`JOGGLE`] of their extent first, so that no three of them lie in a line and no four in a plane. What is lost by that is
-//! far less than [`SPARE_M`], by which every capsule is thicker than it must be.
+//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull. Each point is first moved by less than [`JOGGLE`]
+//! of the points' extent, so that no three points lie on a line and no four in a plane.
+//! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
-//! One capsule around a box, or around a link that is thick at one end, would be far too thick. A hull is therefore cut by
-//! planes as long as less of the capsules stands out of it. Each piece is convex, and so is its capsule: the pieces fill the hull, and the capsules hold it.
+//! One capsule around a box, or around a link that is thick on one side, would be too thick.
+//! A hull is therefore cut by planes while this reduces the protrusion. Each capsule encloses its convex piece.
 
 use std::collections::BTreeMap;
 
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, Random};
 
-/// Capsules are thicker than they must be by this much.
+/// Capsules are thicker than necessary by this much.
 const SPARE_M: f64 = 0.0002;
-/// Points are moved by at most this share of their extent.
+/// Points are moved by at most this fraction of their extent.
 const JOGGLE: f64 = 1e-5;
-/// A mesh becomes no more capsules than this.
+/// Maximum number of capsules per mesh.
 const PIECES_MAX: usize = 12;
-/// Capsules that stand out of the hull by no more than this are good enough.
+/// Capsules that protrude from the hull by no more than this are good enough.
 const OUT_MAX_M: f64 = 0.004;
-/// A cut into two must make what stands out this much less, and one into four this much.
+/// A cut must reduce the protrusion to less than this fraction: one for two pieces, one for four.
 const WORTH: [(usize, f64); 2] = [(2, 0.9), (4, 0.75)];
 
-/// Capsules that hold all that lies between the points. None without points.
+/// Returns capsules that enclose the convex hull of the points, and none if there are no points.
 pub fn capsules(points: &[Point]) -> Vec<Capsule> {
     if points.is_empty() {
         return Vec::new();
@@ -40,7 +40,7 @@ pub fn capsules(points: &[Point]) -> Vec<Capsule> {
         }
     }
     let mut found = done;
-    // Every point itself, whatever was rounded on the way.
+    // The capsules enclose the given points, in spite of all rounding errors.
     for point in points {
         let out_m = |capsule: &Capsule| from_line_m(*point, capsule) - capsule.radius_m;
         let nearest = found.iter_mut().min_by(|a, b| out_m(a).total_cmp(&out_m(b)));
@@ -54,19 +54,19 @@ pub fn capsules(points: &[Point]) -> Vec<Capsule> {
     found
 }
 
-/// The corners of the hull of some points.
+/// Returns the corners of the convex hull of some points.
 pub fn corners(points: &[Point]) -> Vec<Point> {
     if points.is_empty() { Vec::new() } else { Hull::around(points).points }
 }
 
-/// A plane: which way is out, and how far it is from the origin.
+/// A plane, given by its outward direction and its distance from the origin.
 type Plane = (DVec3, f64);
 
-/// A part of a hull, and the capsule around it.
+/// A part of a hull, with the capsule around it.
 struct Piece {
     points: Vec<Point>,
     capsule: Capsule,
-    /// How far the capsule stands out of the whole hull.
+    /// The distance by which the capsule protrudes from the whole hull.
     out_m: f64,
 }
 
@@ -76,7 +76,7 @@ impl Piece {
         Piece { points: points.to_vec(), capsule, out_m: out_m(&capsule, planes) }
     }
 
-    /// Its parts, if cutting it makes less stand out: by one plane, or by two that cross.
+    /// Returns the piece's parts if a cut by one plane, or by two that cross, reduces the protrusion.
     fn cut(&self, planes: &[Plane], room: usize) -> Option<Vec<Piece>> {
         if self.out_m <= OUT_MAX_M || room < 2 {
             return None;
@@ -110,7 +110,7 @@ impl Piece {
                 continue;
             }
             let worst_m = parts.iter().map(|part| out_m(&begun(part, planes), planes)).fold(0.0, f64::max);
-            // As if each capsule more cost a little.
+            // Each additional capsule increases the cost by a few percent.
             let cost = worst_m * (1.0 + 0.05 * parts.len() as f64);
             if best.as_ref().is_none_or(|(least, _)| cost < *least) {
                 best = Some((cost, parts));
@@ -124,7 +124,7 @@ impl Piece {
     }
 }
 
-/// How far a capsule stands out of a hull, as seen straight from its planes.
+/// Returns the distance by which a capsule protrudes from a hull, measured perpendicular to the hull's planes.
 fn out_m(capsule: &Capsule, planes: &[Plane]) -> f64 {
     let beyond =
         |(normal, at): &Plane| normal.dot(capsule.a_m).max(normal.dot(capsule.b_m)) + capsule.radius_m - at;
@@ -143,14 +143,14 @@ fn from_line_m(point: Point, line: &Capsule) -> f64 {
     point.distance(line.a_m + way * share)
 }
 
-/// The capsule around a line that holds all points.
+/// Returns the capsule around a line that encloses all points.
 fn around_line(points: &[Point], a_m: Point, b_m: Point) -> Capsule {
     let line = Capsule { a_m, b_m, radius_m: 0.0 };
     let radius_m = points.iter().map(|point| from_line_m(*point, &line)).fold(0.0, f64::max);
     Capsule { radius_m, ..line }
 }
 
-/// A capsule that holds all points: of a few directions the one that stands out least.
+/// Returns a capsule that encloses all points: of a few directions, the one that protrudes least.
 fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     let first = points.first().copied().unwrap_or_default();
     let furthest = |from: Point| {
@@ -170,7 +170,7 @@ fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
         let foot = middle(side) + middle(other);
         let square = |point: &Point| (*point - foot - along * point.dot(along)).length_squared();
         let radius_2 = points.iter().map(square).fold(0.0, f64::max);
-        // As far in from either end as the round ends allow.
+        // Each end lies as far inside as the round ends allow.
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for point in points {
             let (at, cap) = (point.dot(along), (radius_2 - square(point)).max(0.0).sqrt());
@@ -186,12 +186,12 @@ fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     smallest.unwrap_or(Capsule { a_m: first, b_m: first, radius_m: 0.0 })
 }
 
-/// What stands out, and of two that stand out alike the smaller one.
+/// Returns the protrusion, with a small addition for size, so that of two equal capsules the smaller one wins.
 fn cost(capsule: &Capsule, planes: &[Plane]) -> f64 {
     out_m(capsule, planes) + 0.05 * (capsule.radius_m + 0.5 * capsule.a_m.distance(capsule.b_m))
 }
 
-/// The same, with its ends moved about as long as that makes it better.
+/// Returns the best capsule after moving its ends in ever smaller steps.
 fn fitted(points: &[Point], planes: &[Plane]) -> Capsule {
     let mut best = begun(points, planes);
     let mut least = cost(&best, planes);
@@ -218,13 +218,13 @@ fn fitted(points: &[Point], planes: &[Plane]) -> Capsule {
 /// A convex hull.
 struct Hull {
     points: Vec<Point>,
-    /// Between numbers of points.
+    /// Each edge connects two points, given by their numbers.
     edges: Vec<(usize, usize)>,
     planes: Vec<Plane>,
 }
 
 impl Hull {
-    /// Of these points; where that cannot be found, of an upright box around them.
+    /// Computes the hull of these points, or an upright box around them if that fails.
     fn around(points: &[Point]) -> Hull {
         let mut points = points.to_vec();
         points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
@@ -243,7 +243,7 @@ impl Hull {
         Hull { points: (0..8).map(corner).collect(), edges: edges.collect(), planes: planes.collect() }
     }
 
-    /// Its part on the far side of a plane.
+    /// Returns the hull's part on the far side of a plane.
     fn side(&self, normal: DVec3, at: f64) -> Vec<Point> {
         let beyond = |i: usize| self.points[i].dot(normal) - at;
         let mut part: Vec<Point> =
@@ -260,11 +260,11 @@ impl Hull {
 
 struct Face {
     corners: [usize; 3],
-    /// Across the edge from a corner to the next.
+    /// The faces across each edge, from a corner to the next.
     beside: [usize; 3],
     normal: DVec3,
     at: f64,
-    /// Points beyond it.
+    /// Points that lie beyond the face.
     outside: Vec<usize>,
     is_gone: bool,
 }
@@ -275,7 +275,7 @@ struct Quickhull {
 }
 
 impl Quickhull {
-    /// The first four points. `None` if all lie in a plane.
+    /// Chooses the first four points. Returns `None` if all points lie in a plane.
     fn new(given: &[Point]) -> Option<Self> {
         let extent = given.iter().copied().reduce(DVec3::max)? - given.iter().copied().reduce(DVec3::min)?;
         let by = JOGGLE * extent.max_element();
@@ -295,7 +295,7 @@ impl Quickhull {
         if height(points[d]).abs() <= 10.0 * by {
             return None;
         }
-        // Seen from outside the corners of each face run to the left.
+        // Seen from outside, the corners of each face run counter-clockwise.
         let (b, c) = if height(points[d]) > 0.0 { (c, b) } else { (b, c) };
         let mut hull = Quickhull { points, faces: Vec::new() };
         for (corners, beside) in
@@ -327,7 +327,7 @@ impl Quickhull {
         self.faces[face].normal.dot(self.points[point]) - self.faces[face].at
     }
 
-    /// To the first of the faces from `from` on that it is beyond. Inside it is forgotten.
+    /// Assigns a point to the first face, counted from `from`, that it lies beyond. A point inside is discarded.
     fn give(&mut self, point: usize, from: usize) {
         let sees = (from..self.faces.len()).find(|face| self.beyond(*face, point) > 1e-12);
         if let Some(face) = sees {
@@ -360,7 +360,7 @@ impl Quickhull {
         Some(hull)
     }
 
-    /// The point that is furthest beyond a face becomes a corner of the hull. `None` if rounding makes that impossible.
+    /// The point that is furthest beyond a face becomes a corner of the hull. `None` means that rounding prevents this.
     fn reach_out(&mut self, face: usize) -> Option<()> {
         let far = |a: &&usize, b: &&usize| self.beyond(face, **a).total_cmp(&self.beyond(face, **b));
         let point = *self.faces[face].outside.iter().max_by(far)?;
@@ -416,7 +416,7 @@ mod tests {
         found.iter().map(|c| from_line_m(point, c) - c.radius_m).fold(f64::INFINITY, f64::min)
     }
 
-    /// Corners, and as many points between them.
+    /// Returns the corners, and as many random points between them.
     fn dense(corners: &[Point], random: &mut Random) -> Vec<Point> {
         let mut points = corners.to_vec();
         for _ in 0..3000 {
@@ -428,7 +428,7 @@ mod tests {
         points
     }
 
-    /// A link that is thick at its joint and thin at its end.
+    /// A link that is thick at its joint and thin at its tip.
     fn club() -> Vec<Point> {
         let ring = |z: f64, radius: f64| {
             (0..24).map(move |k| {
@@ -446,7 +446,7 @@ mod tests {
             (0..8).map(|k| DVec3::new(f64::from(k & 1), f64::from(k >> 1 & 1), f64::from(k >> 2))).collect();
         let hull = Hull::around(&dense(&corners, &mut random));
         assert_eq!(hull.points.len(), 8, "{:?}", hull.points);
-        // Twelve sides, and a diagonal on each of six faces.
+        // A cube has twelve edges, and a diagonal on each of its six faces.
         assert_eq!(hull.edges.len(), 18);
         let half = hull.side(DVec3::X, 0.5);
         assert!(half.len() >= 8 && half.iter().all(|point| point.x >= 0.5 - 1e-12));
@@ -461,7 +461,7 @@ mod tests {
         on.extend(inside);
         let hull = Hull::around(&on);
         assert_eq!(hull.points.len(), 500);
-        // Euler: a closed surface of triangles with n corners has 3n - 6 edges.
+        // Euler's formula: a closed surface of triangles with n corners has 3n - 6 edges.
         assert_eq!(hull.edges.len(), 3 * 500 - 6);
     }
 

@@ -42,7 +42,7 @@ pub const TOLERANCE: f64 = 1e-9;
 pub struct Solution {
     /// Joint angles within the limits, in rad.
     pub joints_rad: Joints,
-    /// What it took.
+    /// The work that the search took.
     pub steps: usize,
 }
 
@@ -54,7 +54,7 @@ pub enum Unreachable {
         "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
     )]
     Beyond {
-        /// Minimum distance from the target to the arm's reach.
+        /// Minimum distance between the target and the arm's reach.
         beyond_mm: f64,
     },
     /// The search ended without a solution.
@@ -65,9 +65,9 @@ pub enum Unreachable {
     NotFound {
         /// Distance between the best attempt and the goal.
         position_mm: f64,
-        /// Its wrong turn.
+        /// The angle between the best attempt's orientation and the goal's.
         angle_mrad: f64,
-        /// What was used: steps,
+        /// Number of steps that the search took.
         steps: usize,
         /// Number of solutions that were not accepted.
         looks: usize,
@@ -80,7 +80,7 @@ type Six = [f64; 6];
 /// The first attempt starts at `start_rad`, so a solution near it is found first.
 ///
 /// # Errors
-/// [`Unreachable`], at the latest when [`Budget::DEFAULT`] is used up.
+/// Returns [`Unreachable`], at the latest when [`Budget::DEFAULT`] is used up.
 pub fn solve(
     arm: &SerialArm,
     target: &Pose,
@@ -94,7 +94,7 @@ pub fn solve(
 /// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
 ///
 /// # Errors
-/// This function has the errors of [`solve`].
+/// Returns the same errors as [`solve`].
 pub fn solve_from(
     purse: &Purse,
     arm: &SerialArm,
@@ -123,7 +123,7 @@ pub fn steps(found: &Result<Solution, Unreachable>) -> u64 {
 /// Runs only the search, with a custom budget.
 ///
 /// # Errors
-/// [`Unreachable::NotFound`] when the budget is used up.
+/// Returns [`Unreachable::NotFound`] when the budget is used up.
 pub fn search(
     arm: &SerialArm,
     target: &Pose,

@@ -1,11 +1,11 @@
 //! The arm: its model, its planner and its director.
 //!
 //! * [`model`], [`gen3`], [`solid`], `urdf`: joints, limits, shapes and forward kinematics,
-//! * [`ik`]: from a place of the flange to joint angles,
-//! * [`scene`], [`plan`]: what stands around, and motions that touch nothing,
-//! * [`tool`], [`things`]: what is on the flange, and what it can grip,
+//! * [`ik`]: the step from a pose of the flange to joint angles,
+//! * [`scene`], [`plan`]: the surroundings, and motions without collisions,
+//! * [`tool`], [`things`]: the tools on the flange, and the objects that a gripper can hold,
 //! * [`motions`]: named motions and poses, as data,
-//! * [`director`]: combines all of these between the bridge and any robot.
+//! * [`director`]: the part between bridge and robot, which combines all of these.
 
 pub mod director;
 pub mod gen3;

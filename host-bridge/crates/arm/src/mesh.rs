@@ -1,19 +1,19 @@
-//! Points of meshes: STL (binary and text) and OBJ (feature `urdf`).
+//! Reads the points of meshes from STL (binary and text) and OBJ files (feature `urdf`).
 //!
-//! Only where the corners are is read: what encloses a mesh depends on nothing else.
+//! Only the corners are read, because the enclosing shapes depend on nothing else.
 
 use host_robot::DVec3;
 use host_robot::shape::Point;
 
 /// Meshes with more corners are refused.
 const POINTS_MAX: usize = 3_000_000;
-/// No link of a robot is larger: such a mesh is in millimetres, and lacks its scale.
+/// No link of a robot is larger than this: a larger mesh is in millimetres, and its scale is missing.
 const EXTENT_MAX_M: f64 = 5.0;
 
-/// The corners of a mesh whose file has that name, scaled, in m.
+/// Returns the corners of the mesh in a file with this name, scaled, in m.
 ///
 /// # Errors
-/// What is wrong with it, for people.
+/// The problem with the mesh, as a text for users.
 pub fn points(name: &str, bytes: &[u8], scale: DVec3) -> Result<Vec<Point>, String> {
     let ending = name.rsplit('.').next().unwrap_or("").to_ascii_lowercase();
     let raw = match ending.as_str() {
@@ -39,7 +39,7 @@ pub fn points(name: &str, bytes: &[u8], scale: DVec3) -> Result<Vec<Point>, Stri
     Ok(points)
 }
 
-/// Binary files say how many triangles they have, and are just as long as that takes. Some begin as text would.
+/// A binary file contains its number of triangles and has exactly the resulting length. It may begin like a text file.
 fn stl(bytes: &[u8]) -> Result<Vec<Point>, String> {
     const HEAD: usize = 84;
     const TRIANGLE: usize = 50;
@@ -60,7 +60,7 @@ fn stl(bytes: &[u8]) -> Result<Vec<Point>, String> {
                 |four: &[u8]| four.try_into().map_or(f64::NAN, |four| f64::from(f32::from_le_bytes(four)));
             let corner =
                 |twelve: &[u8]| DVec3::new(number(&twelve[..4]), number(&twelve[4..8]), number(&twelve[8..]));
-            // The normal comes first, two bytes of attributes last.
+            // Each triangle begins with its normal and ends with two bytes of attributes.
             let triangles = bytes[HEAD..].chunks_exact(TRIANGLE).take(count);
             Ok(triangles.flat_map(|triangle| triangle[12..48].chunks_exact(12).map(corner)).collect())
         }
@@ -69,7 +69,7 @@ fn stl(bytes: &[u8]) -> Result<Vec<Point>, String> {
     }
 }
 
-/// Three numbers after each line's first word.
+/// Reads three numbers after the first word of each line.
 fn words(bytes: &[u8], first: &str) -> Result<Vec<Point>, String> {
     let text = String::from_utf8_lossy(bytes);
     let mut points = Vec::new();
@@ -117,7 +117,7 @@ mod tests {
         let obj = "# a\nv 0 0 0\nvn 0 0 1\nv 0.5 0 0\nv 0 0.25 0.125 1.0\nf 1//1 2//1 3//1\n";
         for (name, bytes) in [
             ("a.stl", binary(b"exported")),
-            // Some programs begin binary files as text would begin.
+            // Some programs write binary files that begin like text files.
             ("a.STL", binary(b"solid exported")),
             ("a.stl", text.as_bytes().to_vec()),
             ("a.obj", obj.as_bytes().to_vec()),

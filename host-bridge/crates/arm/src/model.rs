@@ -1,8 +1,8 @@
 //! The model of a serial arm: joints, limits, shapes of its links, named poses, and forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to eight joints that turn or slide comes from a
-//! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
-//! [`Joints`] at zero.
+//! The Gen3 is built in ([`SerialArm::gen3`]). Any other arm comes from a URDF file (feature `urdf`, see `urdf.rs`).
+//! An arm may have up to eight joints that turn or slide.
+//! The missing values of [`Joints`] stay at zero.
 
 use std::f64::consts::TAU;
 
@@ -19,12 +19,12 @@ use host_robot::shape::{Capsule, Point};
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
 
-/// One joint and the link that it moves. Where it slides, its angles, speeds and limits are in m instead of rad.
+/// One joint and the link that it moves. For a sliding joint, positions, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
-    /// Name in the robot's own description.
+    /// Name of the joint in the robot's own description.
     pub name: String,
-    /// Name of the moved link in the same description.
+    /// Name of the moved link in the robot's own description.
     pub link: String,
     /// Position of the joint in its parent's frame, in m.
     pub origin_m: Point,
@@ -32,9 +32,9 @@ pub struct ArmJoint {
     pub origin_rotation: DMat3,
     /// Axis of the joint in the joint's frame, with length 1.
     pub axis: Point,
-    /// It slides along its axis instead of turning about it. Such a joint has limits.
+    /// Whether the joint slides along its axis instead of turning about it. Such a joint has limits.
     pub slides: bool,
-    /// Minimum and maximum angle; `None` = turns without end.
+    /// Minimum and maximum angle; `None` means that the joint turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Fastest turn.
     pub velocity_rad_s: f64,
@@ -42,7 +42,7 @@ pub struct ArmJoint {
     pub acceleration_rad_s2: f64,
     /// Shapes that enclose the moved link, in the joint's frame.
     pub shapes: Vec<Capsule>,
-    /// The same without what stands out, if that is known; else empty.
+    /// The link's shapes without protruding parts, if these are known; otherwise empty.
     pub solids: Vec<Solid>,
 }
 
@@ -53,9 +53,9 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// From the foot on; one to eight.
+    /// The joints in order from the foot; there are one to eight.
     pub joints: Vec<ArmJoint>,
-    /// The flange in the last joint's frame.
+    /// Position of the flange in the last joint's frame, in m.
     pub flange_m: Point,
     /// Rotation of the flange relative to the last joint.
     pub flange_rotation: DMat3,
@@ -65,7 +65,7 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// As [`ArmJoint::solids`].
     pub foot_solids: Vec<Solid>,
-    /// The pose to go to first and to fall back to, in rad.
+    /// The home pose, used as the first goal and as the fallback, in rad.
     pub home_rad: Joints,
     /// Contents of the arm's file that were not understood, for users.
     pub notes: Vec<String>,
@@ -74,7 +74,7 @@ pub struct SerialArm {
 /// The reason why joint values cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointError {
-    /// Not-a-number or infinite.
+    /// A value is not a number, or is infinite.
     #[error("{joint} is no finite angle")]
     NotFinite {
         /// Which.
@@ -85,19 +85,19 @@ pub enum JointError {
     BeyondLimit {
         /// Which.
         joint: String,
-        /// What was asked for.
+        /// The value that was requested.
         value_rad: f64,
         /// Least.
         low_rad: f64,
         /// Greatest.
         high_rad: f64,
-        /// Of all three: m where it slides.
+        /// The unit of all three values: m for a sliding joint, otherwise rad.
         unit: &'static str,
     },
 }
 
 impl ArmJoint {
-    /// How far it slides at most, either way; 0 where it turns.
+    /// The joint slides by at most this much in either direction; 0 for a joint that turns.
     fn slide_m(&self) -> f64 {
         let far_m = self.limit_rad.map_or(0.0, |(low, high)| low.abs().max(high.abs()));
         if self.slides { far_m } else { 0.0 }
@@ -105,8 +105,8 @@ impl ArmJoint {
 }
 
 impl SerialArm {
-    /// Returns the Kinova Gen3 with seven joints and the parameters of [`super::gen3`],
-    /// whose links are capsules around Kinova's meshes.
+    /// Returns the Kinova Gen3 with seven joints and the parameters of [`super::gen3`].
+    /// The links are capsules around Kinova's meshes.
     /// Objects on its flange are [tools](crate::tool), for example its vision module.
     pub fn gen3() -> Self {
         let joints = (0..COUNT).map(|i| {
@@ -140,7 +140,7 @@ impl SerialArm {
         }
     }
 
-    /// Returns whether it is the built-in arm, for which poses are bundled.
+    /// Returns whether this is the built-in arm, for which poses are bundled.
     pub fn is_gen3(&self) -> bool {
         self.name == GEN3
     }
@@ -164,9 +164,9 @@ impl SerialArm {
         poses
     }
 
-    /// Returns the same pose with continuous joints close to their current angles, so that the path is short.
-    /// They never turn beyond one revolution in either direction,
-    /// where descriptions of such arms end (such as ros2_kortex's).
+    /// Returns an equivalent pose whose continuous joints are close to their current angles, so that the path is short.
+    /// Joints never turn by more than one revolution in either direction, because descriptions of such arms end there.
+    /// One such description is ros2_kortex's.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -184,10 +184,10 @@ impl SerialArm {
         self.link_poses(joints_rad)[JOINTS]
     }
 
-    /// Checks that all values are within the limits.
+    /// Checks whether all values are within the limits.
     ///
     /// # Errors
-    /// Names the first joint that is not within its limits.
+    /// The error names the first joint that is not within its limits.
     pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
         for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
             let name = || joint.name.clone();
@@ -207,7 +207,7 @@ impl SerialArm {
     /// Returns the limits with scaled speeds and accelerations (0 to 1; the paper uses 0.1 and 0.05).
     /// Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
-        // A missing joint never moves, but its limits must not be zero because of divisions.
+        // A missing joint never moves, but its limits must not be zero because they are used as divisors.
         let mut limits = JointLimits {
             velocity_rad_s: [1.0; JOINTS],
             acceleration_rad_s2: [1.0; JOINTS],
@@ -220,23 +220,22 @@ impl SerialArm {
         limits
     }
 
-    /// Returns the distance between the flange's position and the arm's reach
-    /// if its middle joints could stretch freely.
-    /// At 0 or less, the position may be within reach.
-    /// It also detects positions whose orientation turns the last link away.
+    /// Returns how far the flange's position is beyond the arm's reach, as if the middle joints could stretch freely.
+    /// If the result is 0 or less, the position may be within reach.
+    /// The function also detects positions whose orientation turns the last link away.
     ///
     /// The flange's pose determines the last joint's origin and axis, and therefore the circle of the previous joint.
-    /// The arm's base determines the circle of the second joint. A stretched chain is never longer than its parts.
+    /// The arm's base determines the circle of the second joint. The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
-        // Of an arm that slides nobody says no before it was tried.
+        // For an arm with a sliding joint, no position is refused in advance.
         if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
-        // Reverses the flange's own offset, which determines the last joint's axis but not its angle.
+        // This step reverses the flange's own offset, which determines the last joint's axis but not its angle.
         let last_turn = flange.rotation * self.flange_rotation.transpose();
         let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
-        // The last joint relative to the previous one, in the last joint's own axes.
+        // This vector leads from the previous joint to the last one, in the last joint's own axes.
         let link_m = last.origin_rotation.transpose() * last.origin_m;
         let (along_m, around_m) = along_and_around(link_m, last.axis);
         let hand_m = flange.position_m - offset_m - axis * along_m;
@@ -250,9 +249,9 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
-    /// an angle moves no point of the arm further than the angle times this. A joint that slides moves each point just as
-    /// far: 1.
+    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it.
+    /// A turn by an angle moves no point further than the angle times this distance.
+    /// For a sliding joint, the value is 1, because each point moves exactly as far as the joint.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }
@@ -271,7 +270,7 @@ impl SerialArm {
     }
 }
 
-/// Returns a vector's component along a unit axis, and the length of the rest.
+/// Returns a vector's component along a unit axis, and the length of the perpendicular component.
 fn along_and_around(vector: DVec3, axis: DVec3) -> (f64, f64) {
     let along = vector.dot(axis);
     (along, (vector - along * axis).length())
@@ -345,10 +344,10 @@ mod tests {
         // Joint 2 has limits and does not change.
         (here[1], goal[1]) = (2.2, -2.2);
         assert_eq!(arm.unwound(&goal, &here)[1], -2.2);
-        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so it goes back instead.
+        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so the joint turns back instead.
         (here[0], goal[0]) = (6.0, 0.5);
         assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
-        // An arm that has already turned further is not wound up by this.
+        // An arm that has already turned beyond one revolution does not turn further.
         here[0] = 7.0;
         assert!((arm.unwound(&goal, &here)[0] - (TAU + 0.5)).abs() < 1e-12);
     }

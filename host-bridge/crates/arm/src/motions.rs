@@ -39,9 +39,9 @@ const PAPER: &str = include_str!("../motions/paper.toml");
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionTable {
-    /// For `--map` and for people.
+    /// Name for `--map` and for users.
     pub name: String,
-    /// The steps in sequence, with rest in between.
+    /// The steps in sequence, between which the arm rests.
     pub steps: Vec<StepTable>,
 }
 
@@ -70,7 +70,7 @@ pub struct StepTable {
     /// Moves the tool by this much along its own axes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub move_tool_m: Option<Point>,
-    /// Turns the tool about its own axes; the length of the axis is the angle.
+    /// Turns the tool about its own axes; the length of the vector is the angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turn_rad: Option<Point>,
     /// Whether the tool moves in a straight line.
@@ -79,10 +79,10 @@ pub struct StepTable {
     /// Opens or closes the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gripper: Option<GripTable>,
-    /// With this force at most.
+    /// The maximum force of the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
-    /// Rests for this long.
+    /// The arm rests for this time in s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait_s: Option<f64>,
 }
@@ -113,14 +113,14 @@ pub enum Grasp {
 const GRASPS: [(&str, Grasp); 3] =
     [("open-gripper", Grasp::Open), ("close-gripper", Grasp::Close), ("toggle-gripper", Grasp::Toggle)];
 
-/// Whether every robot with a gripper has a motion of that name.
+/// Returns whether this is the name of a motion that every robot with a gripper has.
 pub fn is_grasp(name: &str) -> bool {
     GRASPS.iter().any(|(known, _)| *known == name)
 }
 
 /// Maximum number of steps, because a complete motion is planned before it starts.
 const STEPS_MAX: usize = 32;
-/// No step waits longer.
+/// Maximum duration of a waiting step.
 const WAIT_MAX_S: f64 = 60.0;
 /// Maximum length of a relative move.
 const MOVE_MAX_M: f64 = 2.0;
@@ -145,12 +145,12 @@ struct PaperFile {
 /// A motion or pose cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MotionError {
-    /// Nothing has that name.
+    /// No motion or pose has that name.
     #[error(
         "'{name}' is neither a motion nor a pose of {arm}; choose one of: {known}, or add [[motion]] or [[pose]]"
     )]
     Unknown {
-        /// What was asked for.
+        /// The name that was requested.
         name: String,
         /// The arm's name.
         arm: String,
@@ -167,7 +167,7 @@ pub enum MotionError {
         /// The arm's name.
         arm: String,
     },
-    /// A step is empty, contains two things at once, or has invalid values.
+    /// A step is empty, contains two actions at once, or has invalid values.
     #[error("motion '{motion}', step {step}: {reason}")]
     Step {
         /// Which motion.
@@ -183,7 +183,7 @@ pub enum MotionError {
     /// The name is taken.
     #[error("motion '{0}' is there twice; give each its own name")]
     Twice(String),
-    /// The name almost equals a bundled one, and would replace nothing.
+    /// The name almost equals a bundled one, but would not replace it.
     #[error("pose '{name}' replaces nothing; '{meant}' would: name it so, or quite otherwise")]
     Slip {
         /// As given.
@@ -204,7 +204,7 @@ pub enum MotionError {
 /// Where a step leads.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
-    /// Always here, in rad.
+    /// The step always leads here, in rad.
     To(Joints),
     /// The next of these poses each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
@@ -219,7 +219,7 @@ pub enum Step {
     Move {
         /// So far,
         way_m: Point,
-        /// Whether the move is along its own axes instead of the robot's.
+        /// Whether the move is along the tool's own axes instead of the robot's.
         own: bool,
         /// A rotation about the tool's own axes.
         turn: DMat3,
@@ -280,7 +280,7 @@ pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, 
     Ok(joints_rad)
 }
 
-/// Returns a name without the differences that typing errors cause.
+/// Returns a name in a form without the differences that typing errors cause.
 fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }

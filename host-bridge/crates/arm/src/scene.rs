@@ -16,7 +16,7 @@
 //! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
 //! # packages = [".."]         # folders that hold the packages of its meshes
 //!
-//! [ros2]                      # the robot on its graph, as in a configuration, which comes first; see robots/*.toml
+//! [ros2]                      # the ROS 2 settings of the robot; a configuration overrides them; see robots/*.toml
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
 //! name = "table"
@@ -30,11 +30,11 @@
 //! height_m = 0.1
 //! radius_m = 0.03
 //!
-//! [[tool]]                    # what is on the flange, see `tool.rs`
+//! [[tool]]                    # a tool on the flange, see `tool.rs`
 //! name = "2f-85"
 //!
-//! [[pose]]                    # joint angles, or if the tool's point shall be; a motion's name (home, pick-up,
-//! name = "pick-up"            # place, …) replaces that motion; "ready" is where the simulated arm starts.
+//! [[pose]]                    # joint angles, or a pose of the tool's point; a motion's name (home, pick-up,
+//! name = "pick-up"            # place, …) replaces that motion; the simulated arm starts at "ready".
 //!                             # Any pose is also a motion: --map wave="bin 1"
 //! position_m = [0.6, 0.1, 0.9]
 //! quaternion_wxyz = [0, 1, 0, 0]
@@ -58,7 +58,7 @@ use host_robot::shape::{Point, UprightBox};
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// One line for people.
+    /// A line of text for users.
     #[serde(default)]
     pub title: String,
     /// Size of the base and its wheels.
@@ -79,13 +79,13 @@ pub struct Scene {
     /// What can be gripped.
     #[serde(default, rename = "object")]
     pub objects: Vec<ObjectTable>,
-    /// What is on the flange.
+    /// The tools on the flange.
     #[serde(default, rename = "tool")]
     pub tools: Vec<ToolTable>,
-    /// The robot's profile for whoever drives a real one; nothing here knows what is in it.
+    /// The robot's profile for the driver of a real robot; this crate does not interpret it.
     #[serde(default)]
     pub ros2: toml::Table,
-    /// The bundled hands that `demo` plays in this scene; none = those of the paper's six motions.
+    /// The bundled hands that `demo` plays in this scene; none means those of the paper's six motions.
     #[serde(default)]
     pub demo: Option<String>,
 }
@@ -98,11 +98,11 @@ pub struct BaseTable {
     pub wheel_radius_m: f64,
     /// Distance between the wheels' contact points.
     pub track_m: f64,
-    /// Fastest wheel speed.
+    /// Maximum speed of a wheel.
     pub wheel_speed_max_rad_s: f64,
     /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance of a wheel's distance per metre, in m²/m.
+    /// Variance of a wheel's travelled distance per metre, in m²/m.
     pub wheel_variance_m: f64,
     /// Length, width and height of the body, which begins 0.05 m above the floor.
     pub size_m: Point,
@@ -160,14 +160,14 @@ impl BaseTable {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Route {
-    /// Home first, as in the paper.
+    /// The arm moves to its home pose first, as in the paper.
     ViaHome,
     /// The planned path, or via home only if none is found.
     #[default]
     Direct,
 }
 
-/// The selection of the arm, and its motion.
+/// The choice of the arm, and the parameters of its motion.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmTable {
@@ -181,23 +181,23 @@ pub struct ArmTable {
     pub jerk_limited: bool,
     /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
-    /// Minimum distance of plans from everything at checked configurations, and half of it between them.
+    /// Minimum distance of plans from all obstacles at checked configurations; half of it applies between them.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
     /// File of an arm other than the Gen3, relative to the scene file (feature `urdf`).
     pub urdf: Option<PathBuf>,
-    /// Folders that hold the packages of its meshes, seen from the scene file.
+    /// Folders that contain the packages of the arm's meshes, relative to the scene file.
     pub packages: Vec<PathBuf>,
-    /// The first link of that arm, whose frame is the arm's; none = the robot's first.
+    /// First link of that arm, which defines the arm's frame; none means the robot's first link.
     pub root: Option<String>,
-    /// Last link of that arm, if the file has several ends.
+    /// Last link of that arm, required if the file has several tips.
     pub tip: Option<String>,
-    /// Radius around the bones of links without simple shapes in the file.
+    /// Radius of the lines that replace links without simple shapes in the file.
     pub link_radius_m: f64,
-    /// Acceleration of joints without one in the file, before scaling.
+    /// Acceleration of joints for which the file specifies none, before scaling.
     pub acceleration_rad_s2: f64,
-    /// Speed of continuous joints without limits in the file, before scaling.
+    /// Speed of continuous joints for which the file specifies no limits, before scaling.
     pub velocity_rad_s: f64,
 }
 
@@ -279,7 +279,7 @@ pub enum SceneError {
 }
 
 impl Default for Scene {
-    /// An empty scene with the default base and the paper's scaling.
+    /// Returns an empty scene with the default base and the paper's scaling.
     fn default() -> Self {
         Scene {
             title: String::new(),
@@ -307,9 +307,9 @@ impl Scene {
         Ok(scene)
     }
 
-    /// What is on the flange.
+    /// Returns the tool on the flange.
     pub fn tool(&self) -> Tool {
-        // `check` has verified that it can be assembled.
+        // `check` has verified that the tools can be combined.
         Tool::new(&self.tools).unwrap_or_default()
     }
 

@@ -1,19 +1,19 @@
-//! A rounded convex body, and whether two of them are apart.
+//! A rounded convex body, and a check whether two such bodies are apart.
 
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, Pose};
 
-/// Steps of a search for a plane between two bodies.
+/// Maximum number of steps in the search for a plane between two bodies.
 const STEPS: usize = 80;
-/// The search ends when the plane is this near to the best there is, in m.
+/// The search ends when the plane is this close to the best possible one, in m.
 const GOOD_M: f64 = 2e-4;
 
-/// All that lies between some points, and whatever is no further from that than the radius.
+/// The convex hull of some points, enlarged by a radius.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solid {
     /// The points.
     pub points_m: Vec<Point>,
-    /// How far the body reaches beyond what lies between them.
+    /// The radius by which the hull of the points is enlarged.
     pub radius_m: f64,
 }
 
@@ -23,24 +23,24 @@ impl Solid {
         Solid { points_m: vec![capsule.a_m, capsule.b_m], radius_m: capsule.radius_m }
     }
 
-    /// The same as seen from outside its frame.
+    /// Returns the same body in the coordinates outside its frame.
     #[must_use]
     pub fn seen_from(&self, frame: &Pose) -> Solid {
         Solid { points_m: self.points_m.iter().map(|point| frame.at(*point)).collect(), ..*self }
     }
 
-    /// Two bodies are at least this far apart; 0 or less says nothing.
+    /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
     ///
-    /// Found by Frank and Wolfe's method (1956; with pairwise steps, Lacoste-Julien and Jaggi 2015), which walks towards the
-    /// nearest points of two convex bodies. On the way each direction gives a plane between them, if there is one: what is
-    /// returned is what the best plane proves.
+    /// The method is Frank and Wolfe's (1956; pairwise steps by Lacoste-Julien and Jaggi 2015).
+    /// It approaches the nearest points of two convex bodies. Each direction on the way may give a plane between them.
+    /// The returned distance is the one that the best plane proves.
     pub fn apart_m(&self, other: &Solid) -> f64 {
         let (Some(first), Some(second)) = (self.points_m.first(), other.points_m.first()) else {
             return f64::INFINITY;
         };
         let mut way = *first - *second;
         let mut proven_m = f64::NEG_INFINITY;
-        // Differences of corners, and how much of each is in the way.
+        // Differences of corners, and the weight of each in the current point.
         let mut parts = vec![(way, 1.0)];
         for _ in 0..STEPS {
             let Some(direction) = way.try_normalize() else { break };
@@ -53,7 +53,7 @@ impl Solid {
             let along = parts.iter().map(|(part, _)| part.dot(direction)).enumerate();
             let Some((furthest, _)) = along.max_by(by) else { break };
             let (from, share) = parts[furthest];
-            // As much of the furthest as helps is exchanged for the nearest.
+            // The weight of the furthest corner moves to the nearest one, as far as this helps.
             let step = nearest - from;
             let length = step.length_squared();
             if length == 0.0 {

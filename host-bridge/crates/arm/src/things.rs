@@ -46,7 +46,7 @@ impl ObjectTable {
     /// Checks that all values are valid.
     ///
     /// # Errors
-    /// What is wrong, by name.
+    /// The invalid value, given by its name.
     pub fn check(&self) -> Result<(), String> {
         let is_length = |m: f64| m.is_finite() && m > 0.0 && m <= 2.0;
         let sound = match (self.radius_m, self.size_m) {
@@ -68,7 +68,7 @@ impl ObjectTable {
         self.size_m.map_or([self.radius_m.unwrap_or_default(); 2], |size| size.map(|m| 0.5 * m))
     }
 
-    /// Returns its initial pose.
+    /// Returns the initial pose of the object.
     fn start(&self) -> Pose {
         Pose { position_m: self.at_m, rotation: DMat3::from_rotation_z(self.yaw_rad) }
     }
@@ -82,13 +82,13 @@ impl ObjectTable {
         }
     }
 
-    /// Returns the maximum distance of its points from the centre of its underside.
+    /// Returns the maximum distance of the object's points from the centre of its underside.
     pub fn reach_m(&self) -> f64 {
         let [length, width] = self.half_m();
         DVec3::new(length, width, self.height_m).length() + ROD_M
     }
 
-    /// Returns capsules that enclose it in its own frame: rods along its edges, and its interior.
+    /// Returns capsules that enclose the object in its own frame: rods along its edges, and its interior.
     fn shapes(&self) -> Vec<Capsule> {
         let [length, width] = self.half_m();
         let rods = |x: f64, y: f64| Capsule {
@@ -113,7 +113,7 @@ impl ObjectTable {
         shapes
     }
 
-    /// As pictures show it.
+    /// Returns the object in the form that pictures show.
     pub fn picture(&self, at: Pose) -> SceneObject {
         SceneObject {
             name: self.name.clone(),
@@ -146,7 +146,7 @@ pub enum ObjectPose {
 }
 
 impl ObjectPose {
-    /// Returns its pose relative to the scene's origin, given the flange's pose.
+    /// Returns the object's pose relative to the scene's origin, given the flange's pose.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
             ObjectPose::Stands(at) => *at,
@@ -162,18 +162,18 @@ pub struct Touch {
     pub object: Option<usize>,
     /// The held object may touch these boxes, which support it.
     pub boxes: Vec<usize>,
-    /// and the floor.
+    /// The held object may touch the floor.
     pub floor: bool,
 }
 
 /// The current state of the tool and the scene's objects.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Things {
-    /// Distance between the fingers. If it is `None`, the fingers count at all possible positions.
+    /// Distance between the fingers. If it is `None`, all positions of the fingers are checked.
     pub opening_m: Option<f64>,
     /// One entry per object of the scene.
     pub poses: Vec<ObjectPose>,
-    /// What may be touched now.
+    /// The contacts that are permitted now.
     pub touch: Touch,
 }
 
@@ -230,7 +230,7 @@ impl Shop<'_> {
     }
 
     /// The hand may touch the object, and a held object may touch its support.
-    /// These are with the object and, for a held object, with its support.
+    /// The permitted contacts are with the object and, for a held object, with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);
@@ -251,7 +251,7 @@ impl Shop<'_> {
 
     /// Updates the objects after a grip to a width. Returns a message for users.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
-        // If the finger distance is unknown, it is the width of the held object.
+        // If the finger distance is unknown, the width of the held object is used.
         let held_m = things
             .held()
             .map(|(i, on_flange)| self.objects[i].width_m(on_flange.rotation.transpose() * DVec3::X));

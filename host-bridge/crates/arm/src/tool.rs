@@ -1,14 +1,14 @@
 //! Tools on the flange, as data: a gripper, a camera, a payload.
 //!
 //! ```toml
-//! [[tool]]                    # several are one tool together
-//! name = "2f-85"              # bundled (Robotiq); a tool of one's own has shapes
+//! [[tool]]                    # several entries form one tool together
+//! name = "2f-85"              # a bundled tool (Robotiq); any other tool has shapes
 //!
 //! [[tool]]
 //! name = "camera"
 //! shapes = [{ a_m = [0, -0.06, 0.01], b_m = [0, -0.06, 0.03], radius_m = 0.03 }]
-//! # point_m = [0, 0, 0.14]    # what poses of the tool speak of; without it the flange
-//! # opening_m = 0.085         # a gripper that opens along the flange's x axis, so wide;
+//! # point_m = [0, 0, 0.14]    # the reference point of poses; without it, the flange is used
+//! # opening_m = 0.085         # for a gripper: the maximum opening along the flange's x axis
 //! # fingers = […]             # its fingers on the side of +x, as in tools/bundled.toml
 //! ```
 
@@ -74,7 +74,7 @@ impl FingerShape {
 pub struct ToolTable {
     /// Name of a bundled tool, or of your own.
     pub name: String,
-    /// What does not move.
+    /// Shapes of the parts that do not move.
     #[serde(default)]
     pub shapes: Vec<ToolShape>,
     /// What opens and shuts.
@@ -184,7 +184,7 @@ impl Tool {
         self.name.is_empty()
     }
 
-    /// The tool as a gripper, or `None` for any other tool.
+    /// Returns the tool as a gripper, or `None` for any other tool.
     pub fn hand(&self) -> Option<&Hand> {
         self.hand.as_ref()
     }
@@ -194,7 +194,7 @@ impl Tool {
         self.point_m
     }
 
-    /// Returns its shapes in the flange's frame at this finger distance; `None` covers all positions.
+    /// Returns the tool's shapes in the flange's frame at this finger distance; `None` covers all positions.
     pub fn shapes(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         [self.fixed(), &self.fingers(opening_m)].concat()
     }
@@ -253,7 +253,7 @@ mod tests {
         let wherever = tool.fingers(None);
         let inside = |point_m: Point, radius_m: f64| {
             let ball = Capsule { a_m: point_m, b_m: point_m, radius_m: 0.0 };
-            // Distances are negative within.
+            // Distances inside the shape are negative.
             wherever.iter().any(|shape| ball.distance_m(shape) <= -radius_m + 1e-12)
         };
         for k in 0..=200 {

@@ -1,10 +1,10 @@
-//! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`): joints that turn or slide.
+//! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
-//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them, also those of links that are
-//! fixed to the arm beside its chain; so do meshes that [`crate::urdf_meshes`] could read. Of others the arm says so
-//! ([`SerialArm::notes`]): lines of a given radius stand for them, from a link's frame to the joints that begin there, or
-//! balls where none does; so they do for a moving link without any shape. What is fixed to a link takes nothing away from it.
-//! What moves beside the chain is not counted, and that is said.
+//! Shapes of `<collision>` (boxes, cylinders, capsules and spheres) become capsules that enclose them.
+//! This includes links fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read.
+//! Other meshes are reported ([`SerialArm::notes`]) and replaced by lines of a given radius to the next joints.
+//! A ball replaces them if no joint follows. Moving links without shapes are treated alike; fixed ones only add shapes.
+//! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
@@ -14,7 +14,7 @@ use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
 use urdf_rs::{Joint, JointType, Robot};
 
-/// No lift or rail of an arm is longer; angles beyond it would be taken for whole turns elsewhere.
+/// No lift or rail of an arm is longer; angles beyond this value would count as whole turns elsewhere.
 const SLIDE_MAX_M: f64 = 3.0;
 
 /// Settings that a URDF file does not contain.
@@ -22,18 +22,18 @@ const SLIDE_MAX_M: f64 = 3.0;
 pub struct Missing {
     /// First link of the arm, whose frame is its base frame; `None` selects the robot's own first link.
     pub root: Option<String>,
-    /// Last link of the arm; `None` selects the only end.
+    /// Last link of the arm; `None` selects the only tip.
     pub tip: Option<String>,
-    /// Radius around the bones of links without simple shapes.
+    /// Radius of the lines that replace links without simple shapes.
     pub link_radius_m: f64,
-    /// Acceleration of joints without one (URDF 1.2 has it).
+    /// Acceleration of joints for which the file specifies none (URDF 1.2 permits one).
     pub acceleration_rad_s2: f64,
-    /// Speed of continuous joints without any limits.
+    /// Speed of continuous joints for which the file specifies no limits.
     pub velocity_rad_s: f64,
 }
 
 impl Missing {
-    /// As a scene says.
+    /// The options as a scene gives them.
     pub fn of(table: &ArmTable) -> Self {
         Missing {
             root: table.root.clone(),
@@ -51,7 +51,7 @@ pub enum UrdfError {
     /// It is no URDF.
     #[error("{0}")]
     Form(#[from] urdf_rs::UrdfError),
-    /// The file is valid, but for another kind of robot.
+    /// The file is valid, but describes another kind of robot.
     #[error("{0}")]
     Kind(String),
 }
@@ -112,7 +112,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 }
                 let limit = &joint.limit;
                 let turns_on = joint.joint_type == JointType::Continuous;
-                // A continuous joint needs no limits, but given ones must be valid.
+                // A continuous joint needs no limits, but any given limits must be valid.
                 let unlimited = turns_on && limit.velocity == 0.0 && limit.effort == 0.0;
                 let velocity_rad_s = if unlimited { missing.velocity_rad_s } else { limit.velocity };
                 if !(velocity_rad_s.is_finite() && velocity_rad_s > 0.0) {
@@ -183,7 +183,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     Ok(arm)
 }
 
-/// The joints from the root to the tip; the root's link, and the tip's.
+/// Returns the joints from the root to the tip, the root's link, and the tip's link.
 pub(crate) fn chain_of<'r>(
     robot: &'r Robot,
     missing: &Missing,
@@ -202,7 +202,7 @@ pub(crate) fn chain_of<'r>(
             (*tip).to_owned()
         }
     };
-    // From the tip back to the root.
+    // The joints are collected from the tip back to the root.
     let mut chain = Vec::new();
     let mut link = tip.as_str();
     let begins = |link: &str| missing.root.as_deref() == Some(link);
@@ -226,7 +226,7 @@ pub(crate) fn chain_of<'r>(
     Ok((chain, root, tip))
 }
 
-/// A capsule to the next joint, in addition to what was read.
+/// Adds a capsule that reaches to the next joint to the shapes that were read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
         let line = Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m };
@@ -246,7 +246,7 @@ fn within_soft(joint: &Joint) -> (f64, f64) {
     }
 }
 
-/// Whether there are macros of xacro in it, outside its comments.
+/// Returns whether the text contains macros of xacro outside its comments.
 pub(crate) fn is_xacro(text: &str) -> bool {
     let mut rest = text;
     let mut live = String::new();
@@ -300,7 +300,7 @@ mod tests {
         text
     }
 
-    /// The same on a lift: its first joint slides down from its foot by 0.6 m.
+    /// The same arm on a lift: its first joint slides down from its foot by 0.6 m.
     fn lift_urdf() -> String {
         gen3_urdf().replacen("type=\"continuous\"", "type=\"prismatic\"", 1).replacen(
             "lower=\"0\" upper=\"0\" effort=\"9\" velocity=\"1.3963\"",
@@ -324,7 +324,7 @@ mod tests {
             let mut slid = joints;
             slid[0] += 0.1;
             let (one, two) = (arm.flange_pose(&joints), arm.flange_pose(&slid));
-            // The axis points down: the frame stands on its head.
+            // The axis points down, so the frame is upside down.
             assert!(two.position_m.abs_diff_eq(one.position_m - 0.1 * DVec3::Z, 1e-12));
             assert!(two.rotation.abs_diff_eq(one.rotation, 1e-12));
             let i = random.below(JOINTS);
@@ -358,7 +358,7 @@ mod tests {
         println!("{found} of 100 places found");
         assert!(found >= 95);
 
-        // Its foot hangs at 1.6 m; a bar before it, and poses below and above.
+        // The arm's foot hangs at 1.6 m, with a bar in front of it, and poses below and above.
         let scene = "[base]\nmount_m = [0.1, 0.0, 1.6]\n[[box]]\nname = \"bar\"\ncenter_m = [0.65, 0.0, 1.2]\nsize_m = [0.3, 1.0, 0.04]\n";
         let planner = Planner::new(arm, crate::scene::Scene::parse(scene).unwrap()).unwrap();
         let world = planner.world();
@@ -468,7 +468,7 @@ mod tests {
             .replace("<link name=\"link4\"/>", &format!("<link name=\"link4\">{mesh}{camera}</link>"))
             .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{camera}</link>"));
         let arm = parse(&text, &missing()).unwrap();
-        // In addition to its small box, link 4 keeps the bone for its mesh, and so does link 7.
+        // Link 4 keeps the line for its mesh in addition to its small box, and so does link 7.
         assert_eq!(arm.joints[3].shapes.len(), 2);
         assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
         assert_eq!(arm.joints[6].shapes.len(), 2);
@@ -500,7 +500,7 @@ mod tests {
         let ball = |at: [f64; 3]| Capsule { a_m: at.into(), ..line(at) };
         // The root's mesh becomes lines to the first joint and to its fixed link, whose own mesh becomes a ball.
         assert_eq!(arm.foot, [line([0.0, 0.0, 0.15643]), line([0.0, 0.1, 0.0]), ball([0.0, 0.1, 0.0])]);
-        // Link 2 has no shape of its own, so it has a line; then follow the mast, and the lamp on it.
+        // Link 2 has no shape of its own, so it has a line. The mast and its lamp follow.
         let [own, mast, lamp] = arm.joints[1].shapes.as_slice() else { panic!("{:?}", arm.joints[1].shapes) };
         assert!((own.b_m.length() - 0.2105).abs() < 1e-3);
         let half_m = mast.a_m.distance(mast.b_m) / 2.0;
@@ -508,7 +508,7 @@ mod tests {
             (half_m - 0.15).abs() < 1e-12 && mast.a_m.lerp(mast.b_m, 0.5).abs_diff_eq(0.1 * DVec3::Y, 1e-12)
         );
         assert_eq!(*lamp, ball([0.0, 0.2, 0.0]));
-        // The flange's mesh becomes a line to the start of the finger, which moves by itself.
+        // The flange's mesh becomes a line to the start of the finger, which moves independently.
         assert_eq!(arm.joints[6].shapes.len(), 2, "{:?}", arm.joints[6].shapes);
         let [meshes, moving] = arm.notes.as_slice() else { panic!("{:?}", arm.notes) };
         assert!(meshes.contains("base, bumper, lamp, flange") && meshes.contains("50 mm"), "{meshes}");

@@ -1,7 +1,7 @@
-//! The meshes of a URDF as convex hulls (feature `urdf`).
+//! Replaces the meshes of a URDF by convex hulls (feature `urdf`).
 //!
-//! What is read is written into the URDF itself, as the corners of hulls in place of file names. From then on it stands alone: a
-//! recorded session needs no mesh.
+//! The corners of the hulls are written into the URDF itself, in place of the file names.
+//! A recorded session therefore needs no mesh files.
 
 use std::collections::BTreeMap;
 
@@ -17,15 +17,15 @@ use host_robot::DVec3;
 pub struct Alone {
     /// The URDF.
     pub text: String,
-    /// What was read, and which meshes were not, for people.
+    /// The number of meshes that were read, and notes for users about those that were not.
     pub notes: Vec<String>,
 }
 
-/// Puts hulls in place of the meshes of the arm's links and of what is fixed to them. `read` fetches a mesh by its name in
-/// the file, or says why it cannot. A mesh that cannot be read stays, and is named in the notes.
+/// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls.
+/// `read` returns a mesh by its name in the file, or the reason for a failure. A failed mesh stays and gets a note.
 ///
 /// # Errors
-/// As [`crate::urdf::parse`], of the joints from root to tip.
+/// The errors of [`crate::urdf::parse`] about the joints from root to tip.
 pub fn stand_alone(
     text: &str,
     missing: &Missing,
@@ -36,7 +36,7 @@ pub fn stand_alone(
         return Ok(as_it_is());
     }
     let mut robot = urdf_rs::read_from_string(text)?;
-    // Before anything is computed with its numbers.
+    // This check comes before any computation with the file's numbers.
     crate::urdf_numbers::check(&robot).map_err(UrdfError::Kind)?;
     let wanted = links_of(&robot, missing)?;
     let mut known: BTreeMap<(String, [u64; 3]), Result<String, String>> = BTreeMap::new();
@@ -88,7 +88,7 @@ pub fn stand_alone(
     Ok(alone)
 }
 
-/// Links of the chain, and all that is fixed to them.
+/// Returns the links of the chain, and all links that are fixed to them.
 fn links_of(robot: &Robot, missing: &Missing) -> Result<Vec<String>, UrdfError> {
     let (chain, root, _) = chain_of(robot, missing)?;
     let mut links = vec![root.to_owned()];
@@ -123,7 +123,7 @@ mod tests {
         }
     }
 
-    /// A lift, a turn without end and one within soft limits; a lamp is fixed beside, a finger moves beside.
+    /// The arm has a lift, an endless joint and one within soft limits; beside it, a lamp is fixed and a finger moves.
     const ARM: &str = r#"<robot name="three"><link name="foot"/>
         <joint name="lift" type="prismatic"><origin xyz="0 0 0.2" rpy="0.1 -0.2 0.3"/><parent link="foot"/><child link="a"/>
         <axis xyz="0 0 2"/><limit lower="-0.1" upper="0.5" effort="9" velocity="0.2"/></joint>

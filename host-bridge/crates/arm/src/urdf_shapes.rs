@@ -1,4 +1,4 @@
-//! Shapes of a URDF's links in the arm's chain, and of all links fixed beside it.
+//! Shapes of the links in a URDF arm's chain, and of all links fixed beside it.
 
 use crate::solid::Solid;
 use host_robot::shape::Capsule;
@@ -14,7 +14,7 @@ pub struct Shapes<'r> {
     seen: Vec<&'r str>,
     /// Links whose meshes were not read.
     meshes: Vec<&'r str>,
-    /// Joints beside the chain that move by themselves.
+    /// Joints beside the chain that can move independently.
     moving: Vec<&'r str>,
 }
 
@@ -28,14 +28,14 @@ impl<'r> Shapes<'r> {
         self.robot.links.iter().find(|known| known.name == link).map_or(&[], |known| &known.collision)
     }
 
-    /// Returns whether the link has its own shapes and all of them were read.
+    /// Returns whether the link has shapes of its own, all of which were read.
     pub fn are_whole(&self, link: &str) -> bool {
         let own = self.collisions(link);
         !own.is_empty() && !own.iter().any(is_mesh)
     }
 
-    /// Shapes of a link of the chain whose frame is there, and of what is fixed to it beside the chain. A line along the chain
-    /// stands for meshes of a link that `moves` anyway.
+    /// Returns shapes of a chain's link at this frame, and of all links fixed to it beside the chain.
+    /// A line along the chain replaces the meshes of a link that `moves` in any case.
     pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> (Vec<Capsule>, Vec<Solid>) {
         let mut found = Found::default();
         self.collect(link, here, moves, &mut found);
@@ -111,16 +111,16 @@ fn is_mesh(collision: &Collision) -> bool {
     matches!(&collision.geometry, Geometry::Mesh { filename, .. } if hull_points(filename).is_none())
 }
 
-/// Instead of a mesh's file: the corners of its hull themselves.
+/// The corners of the hull, which replace the file name of a mesh.
 pub const HULL: &str = "hull:";
 
-/// A hull's corners as they stand in a URDF.
+/// Writes the corners of a hull in the form used in a URDF.
 pub fn hull_name(points: &[DVec3]) -> String {
     let corners: Vec<String> = points.iter().map(|p| format!("{} {} {}", p.x, p.y, p.z)).collect();
     format!("{HULL}{}", corners.join(","))
 }
 
-/// Its corners; `None` if there is something else than finite numbers.
+/// Reads the corners; returns `None` unless all of them are finite numbers.
 pub fn hull_points(name: &str) -> Option<Vec<DVec3>> {
     let corner = |text: &str| {
         let mut numbers = text.split(' ').map(|word| word.parse::<f64>().ok().filter(|n| n.is_finite()));

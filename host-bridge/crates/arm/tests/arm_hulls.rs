@@ -1,8 +1,8 @@
 //! Checks that the Gen3's capsules and the bundled tools enclose the makers' meshes.
 //!
 //! The test contains a few vertices that are far from each capsule's line.
-//! If the hulls of the complete meshes are available (`../shared/data/arm-hulls`, not part of this project),
-//! it checks all their vertices.
+//! Hulls of the complete meshes may be available (`../shared/data/arm-hulls`, not part of this project).
+//! In this case, the test checks all their vertices.
 
 use std::path::Path;
 
@@ -190,7 +190,7 @@ fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
         let out_mm = 1000.0 * furthest_out_m(&tool.shapes(Some(0.085)), &points);
         assert!(out_mm < 0.0, "base: {out_mm} mm");
     }
-    // The inner side of the pad in the fingertip's frame; it meets the other one when the gripper is closed.
+    // The inner side of the pad in the fingertip's frame; it meets the opposite pad when the gripper is closed.
     const PAD_M: f64 = 0.0253;
     for step in 0..=20 {
         let angle_rad = 0.8 * f64::from(step) / 20.0;

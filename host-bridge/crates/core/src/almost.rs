@@ -61,7 +61,7 @@ impl Almost {
                 Rise::None | Rise::Told => Rise::None,
             },
             Rise::Nearest(_, best) if mean > best => Rise::Nearest(label, mean),
-            // The scores fall, so the movement has ended, and the board would have reported it by now.
+            // The scores fall, so the movement has ended, and the board would have reported the gesture by now.
             Rise::Nearest(label, best) if mean < best / 2.0 => {
                 self.rise = Rise::Told;
                 return Some((label, best));
@@ -72,7 +72,7 @@ impl Almost {
         None
     }
 
-    /// The gesture that is near now, and how near it came: nothing has been reported of this rise yet.
+    /// The gesture that is near now, and its best probability. No report about this rise has been made yet.
     pub(crate) fn near(&self) -> Option<(usize, f32)> {
         match self.rise {
             Rise::Nearest(label, best) => Some((label, best)),
@@ -80,7 +80,7 @@ impl Almost {
         }
     }
 
-    /// Of all gestures the one with the largest mean probability.
+    /// Returns the gesture with the largest mean probability.
     fn nearest(&self, labels: &[String]) -> Option<(usize, f32)> {
         let mean =
             |label: usize| self.last.iter().map(|row| row[label]).sum::<f32>() / self.last.len() as f32;
@@ -97,7 +97,7 @@ mod tests {
         ["idle", "circle", "wave", "other"].map(str::to_owned).to_vec()
     }
 
-    /// Returns the reports for these probabilities of `circle`, if the board detects a gesture in hop `fires`.
+    /// Returns the reports for these probabilities of `circle`, if the board detects a gesture in hop number `fires`.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();
@@ -131,7 +131,7 @@ mod tests {
                 almost.near().map(|(_, best)| best)
             })
             .collect();
-        // The mean of four hops passes 0.4 with the third one of 0.6.
+        // The mean of four hops exceeds 0.4 with the third one of 0.6.
         assert_eq!(near.iter().position(Option::is_some), Some(8), "{near:?}");
         assert!((near[11].unwrap() - 0.6).abs() < 1e-6, "{near:?}");
         assert_eq!(near.last(), Some(&None));

@@ -70,7 +70,7 @@ pub enum MarkedBy {
 }
 
 impl MarkedBy {
-    /// As files write it.
+    /// The name of the origin, as written in files.
     pub fn name(self) -> &'static str {
         match self {
             MarkedBy::Gesture => "gesture",
@@ -87,11 +87,11 @@ pub struct Take {
     pub start_ms: u64,
     /// On the session's clock.
     pub end_ms: u64,
-    /// What became of it.
+    /// The result of the take.
     pub verdict: Verdict,
 }
 
-/// What became of a take.
+/// The result of a take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// The take ended and was not judged.
@@ -107,7 +107,7 @@ pub enum Verdict {
 pub enum Told {
     /// One has begun.
     Begun(usize),
-    /// The episode with this number and length has ended.
+    /// The episode with this number and duration has ended.
     Ended(usize, u64),
     /// The first episode was discarded, and the second has begun.
     Repeated(usize, usize),

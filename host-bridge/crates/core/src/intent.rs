@@ -11,13 +11,13 @@ use host_robot::{MotionName, Twist};
 /// The caps on forward and turning speed, and their changes by bends.
 ///
 /// Both caps change together.
-/// Each bend of the index finger multiplies them by 1.10, and each bend of the middle finger by 0.90.
+/// Each bend of the index finger multiplies the caps by 1.10, and each bend of the middle finger by 0.90.
 /// Caps stay within [0.05, 1.0] (the paper's table II and figures).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Caps {
     /// Maximum forward or backward speed in m/s.
     pub linear_m_s: f64,
-    /// Fastest turn, in rad/s.
+    /// Maximum speed of a turn, in rad/s.
     pub angular_rad_s: f64,
     /// The initial value of the caps and the rules for changes.
     #[serde(skip)]
@@ -34,9 +34,9 @@ pub struct SpeedRules {
     pub least: f64,
     /// Never faster.
     pub most: f64,
-    /// Factor per bend of the index finger.
+    /// Factor for each bend of the index finger.
     pub faster: f64,
-    /// Factor per bend of the middle finger.
+    /// Factor for each bend of the middle finger.
     pub slower: f64,
 }
 
@@ -127,7 +127,7 @@ impl Default for MotionMap {
     }
 }
 
-/// The text is not a valid `LABEL=MOTION`.
+/// The text does not have the form `LABEL=MOTION`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MapError {
     /// There is no `=`, or there is no label before it.
@@ -142,7 +142,7 @@ impl MotionMap {
     /// Adds or replaces one entry, in the form `LABEL=MOTION`.
     ///
     /// # Errors
-    /// [`MapError`] if the text does not have this form, or maps a rest label.
+    /// Returns [`MapError`] if the text does not have this form, or maps a rest label.
     pub fn assign(&mut self, mapping: &str) -> Result<(), MapError> {
         let (label, motion) = mapping
             .split_once('=')

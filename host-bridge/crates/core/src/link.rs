@@ -3,7 +3,7 @@
 //! ```text
 //! bytes ──► Decoder ──► hello?  version, side, boot id ──► Started (re-bases everything below)
 //!                  └──► state?  sequence: newer than all before?  clock: how old?
-//!                               counters: what is new in it? ──────► Left / Right
+//!                               counters: which events in it are new? ──────► Left / Right
 //! ```
 //! States before the first hello, repeated states and overtaken states are counted and dropped here.
 //! [`crate::safety`] decides on the maximum age, because even a late state can stop the robot.
@@ -25,7 +25,7 @@ use shared_proto::version;
 
 use crate::safety::Hand;
 
-/// Interval for requesting a hello while nothing usable arrives.
+/// Interval for requesting a hello as long as no usable data arrives.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
 /// Interval for pinging a known board. The replies limit the age of its states.
@@ -47,7 +47,7 @@ pub struct Identity {
     pub board: String,
     /// Version of its firmware.
     pub firmware: String,
-    /// A number that differs after each start.
+    /// A number that is different after each start.
     pub boot_id: u32,
     /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
@@ -99,7 +99,7 @@ pub enum Heard {
 pub struct RightReport {
     /// Upper bound of the newest sample's age.
     pub age_ms: u64,
-    /// Board clock at the newest sample.
+    /// Time of the newest sample on the board's clock.
     pub board_time_ms: u32,
     /// Bits of [`shared_words::health`].
     pub health: u8,
@@ -116,9 +116,9 @@ pub struct NewGesture {
     pub label: u8,
     /// 0 to 1.
     pub confidence: f32,
-    /// Board clock at the end of the deciding window.
+    /// Time of the deciding window's end on the board's clock.
     pub window_end_ms: u32,
-    /// Upper bound of the age of that window's end.
+    /// Upper bound of the time since that window's end.
     pub age_ms: u64,
     /// Number of earlier gestures whose label is unknown because their frames were lost.
     pub unnamed: u8,
@@ -145,7 +145,7 @@ pub struct LinkCounters {
     pub misdirected: u32,
 }
 
-/// The receiving end of one hand's link.
+/// The receiving side of one hand's link.
 #[derive(Clone, Debug)]
 pub struct HandLink {
     hand: Hand,
@@ -170,7 +170,7 @@ pub struct HandLink {
     pinged: Option<(u32, u64)>,
     /// Round-trip time of the newest answered ping, and the time of its answer.
     round_trip: Option<(u64, u64)>,
-    /// The board's clock stepped back, so nothing counts until a hello arrives.
+    /// Whether the board's clock has stepped back, so that nothing counts until a hello arrives.
     restarted: bool,
 }
 
@@ -220,7 +220,7 @@ impl HandLink {
         self.about.map(|about| about.battery_mv).filter(|&mv| mv > 0)
     }
 
-    /// Returns the statistics of all frames so far.
+    /// Returns the statistics of all frames received so far.
     pub fn counters(&self) -> LinkCounters {
         let Counters { frames, unknown, malformed, .. } = self.decoder.counters();
         LinkCounters {
@@ -286,7 +286,7 @@ impl HandLink {
     }
 
     /// Returns whether the newest round trip is recent and took less than `limit_ms`.
-    /// In addition, no later ping may have waited longer.
+    /// In addition, no later ping may have waited longer than this.
     pub fn is_prompt(&self, limit_ms: u64, now_ms: u64) -> bool {
         let waiting = self.pings.front().is_some_and(|&(_, sent)| now_ms.saturating_sub(sent) >= limit_ms);
         self.answers(now_ms) && !waiting && self.round_trip.is_some_and(|(took, _)| took < limit_ms)
@@ -357,7 +357,7 @@ impl HandLink {
             sample_hz: hello.sample_hz,
         };
         self.clock.rebase();
-        // Answers from before the board's restart refer to another clock.
+        // Answers sent before the board's restart refer to another clock.
         self.pings.clear();
         self.round_trip = None;
         if let Some((_, sent_ms)) = &mut self.pinged {
@@ -460,13 +460,13 @@ impl HandLink {
     }
 }
 
-/// Returns the latest time on the laptop's clock for a time on a board's clock.
+/// Returns the latest possible time on the laptop's clock for a time on a board's clock.
 fn with_drift(board_ms: u64) -> u64 {
     board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
 }
 
 /// Removes characters from a board's text that a terminal would interpret.
-/// These are control characters, and characters that change the direction of writing.
+/// These are control characters and characters that change the writing direction.
 pub fn printable(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control()

@@ -13,8 +13,8 @@
 //! An observer passes results to its owner, for example through a channel or a shared cell.
 //!
 //! Observers run inside the session's loop, so they must not block.
-//! An observer with slow outputs passes data through a bounded channel to a separate thread,
-//! and drops data that does not fit.
+//! An observer with slow outputs passes data through a bounded channel to a separate thread.
+//! The observer drops data that does not fit.
 //! Observers return nothing, so they cannot move or stop the robot.
 //!
 //! `tests/adding.rs` of host-bridge contains an observer of eight lines.
@@ -57,7 +57,7 @@ pub trait Observer {
     /// Called for each event.
     fn happened(&mut self, _event: &SessionEvent) {}
 
-    /// Called with the state after a step: each millisecond of a played session, each turn of a live one.
+    /// Called with the state after each step: every millisecond in a played session, every turn in a live one.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
@@ -114,26 +114,26 @@ pub enum Sample<'a> {
     },
     /// A sample of the right hand's IMU, converted to 100 Hz.
     Right {
-        /// Accelerometer in m/s², then (6 values) gyroscope in deg/s, then (9 values) magnetometer in µT.
+        /// Accelerometer in m/s², then (with 6 values) gyroscope in deg/s, then (with 9 values) magnetometer in µT.
         values: &'a [f32],
     },
 }
 
-/// What an operator can press.
+/// The operator's keys and buttons.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OperatorKey {
-    /// Stop the robot.
+    /// The operator stops the robot.
     Stop,
-    /// Release the stop (pressed and confirmed).
+    /// The operator releases the stop (pressed and confirmed).
     Release,
-    /// End only the arm's motion.
+    /// The operator ends only the arm's motion.
     EndArm,
-    /// Begin to show gestures that are to be learnt.
+    /// The operator begins to show gestures that are to be learnt.
     Show,
     /// That is over.
     Shown,
-    /// Lend the left hand to the arm, or take it back.
+    /// The operator lends the left hand to the arm, or returns it to the base.
     Clutch,
 }
 
@@ -142,7 +142,7 @@ pub enum OperatorKey {
 pub struct Now<'a> {
     /// Time of the session (virtual if it is played).
     pub time_ms: u64,
-    /// Links, hands, safety, caps.
+    /// State of the links, hands, safety machine and caps.
     pub bridge: &'a Bridge,
     /// Base and arm, as reported by the robot.
     pub robot: &'a dyn Door,
@@ -163,7 +163,7 @@ pub struct Snapshot {
     pub caps: Caps,
     /// The commanded speed of the base; zero unless armed.
     pub twist_asked: Twist,
-    /// Position and speed of the base, from its wheels.
+    /// Position and speed of the base, derived from its wheels.
     pub odometry: Odometry,
     /// Age of the base's report; `None` if there is none.
     pub base_age_ms: Option<u64>,
@@ -187,11 +187,11 @@ pub struct Snapshot {
     pub objects: Vec<SceneObject>,
     /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
-    /// The left hand is lent to the arm: it moves the tool while armed, and the base stands still.
+    /// Whether the left hand is lent to the arm. The hand then moves the tool while armed, and the base stands still.
     pub jogging: bool,
-    /// What keeps the tool from following it, if anything does.
+    /// The reason why the tool does not follow the hand, or `None`.
     pub jog_held: Option<String>,
-    /// Why the robot itself refuses to move, if it does: its e-stop, a fault, clocks apart.
+    /// The reason why the robot itself refuses to move, if it does: its e-stop, a fault, or clocks that differ.
     pub refusal: Option<String>,
     /// The restriction of this session and its reason.
     pub restriction: Option<String>,
@@ -229,9 +229,9 @@ pub struct LinkSnapshot {
 pub struct LeftSnapshot {
     /// Its link.
     pub link: LinkSnapshot,
-    /// Tilt about the lateral axis, positive = forward.
+    /// Tilt about the lateral axis; positive means forward.
     pub pitch_rad: f64,
-    /// Tilt about the forward axis, positive = left.
+    /// Tilt about the forward axis; positive means to the left.
     pub roll_rad: f64,
     /// The meaning of the tilt, even if it has no effect.
     pub heading: Heading,
@@ -252,9 +252,9 @@ pub struct RightSnapshot {
     pub labels: Vec<String>,
     /// Newest probability of each label, 0 to 1; empty until the first window is full.
     pub scores: Vec<f32>,
-    /// What is nearly a gesture, or was a moment ago.
+    /// The gesture that is nearly recognised, or was a moment ago.
     pub nearly: Option<Nearly>,
-    /// What its wearer is asked.
+    /// The current request to the hand's wearer.
     pub prompt: Option<Prompt>,
 }
 
@@ -317,7 +317,7 @@ impl Snapshot {
     }
 }
 
-/// The constant data of a session: the robot, its limits, its surroundings, and the speed rules.
+/// The constant data of a session: the robot, its limits, its surroundings, and the rules for the caps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Setting {
     /// The robot and its surroundings.
@@ -339,7 +339,7 @@ impl Setting {
 pub enum SessionEvent {
     /// On the bridge.
     Bridge(BridgeEvent),
-    /// A recording has ended. Its hand falls silent, and the dead-man halts the robot.
+    /// A recording has ended. Its hand is silent from now on, and the dead-man halts the robot.
     RecordingEnded {
         /// Virtual time.
         time_ms: u64,
@@ -357,14 +357,14 @@ pub enum SessionEvent {
         /// The effect of the mark.
         told: Told,
     },
-    /// The right hand's wearer is told something about the model.
+    /// A message about the model for the right hand's wearer.
     Wearer {
         /// When.
         time_ms: u64,
         /// What.
         text: String,
     },
-    /// The operator's stop threw away the episode that was under way.
+    /// The operator's stop discarded the current episode.
     EpisodeStopped {
         /// When.
         time_ms: u64,

@@ -29,7 +29,7 @@ pub struct Session<'b, D> {
 }
 
 impl<'b, D: Door> Session<'b, D> {
-    /// Creates a session from hands (either may be missing), a map of gestures, and a robot behind its door.
+    /// Creates a session with hands (either may be missing), a map of gestures, and a robot behind its door.
     pub fn new(sources: impl Into<PerHand<Source<'b>>>, map: MotionMap, door: D) -> Self {
         let sources = sources.into();
         let takes_part = PerHand::of(|hand| sources[hand].is_there());
@@ -93,7 +93,7 @@ impl<'b, D: Door> Session<'b, D> {
         })
     }
 
-    /// Advances by one millisecond, the first one at 0. Returns its events.
+    /// Advances by one millisecond (the first call is at time 0). Returns the events of this step.
     pub fn step(&mut self) -> Vec<SessionEvent> {
         let events = self.engine.advance(self.now_ms, PerHand::default());
         let picture = self.door().picture();
@@ -193,26 +193,26 @@ impl<'b, D: Door> Session<'b, D> {
 pub struct Summary {
     /// Virtual time passed.
     pub seconds: f64,
-    /// Every gesture event, in order.
+    /// Every gesture event in the order of occurrence.
     pub gestures: Vec<GestureRecord>,
-    /// Arm motions that reached their pose, in order.
+    /// Arm motions that reached their pose, in the order of occurrence.
     pub poses_reached: Vec<PoseRecord>,
     /// Operator's stops.
     pub stops: u32,
     /// Releases of them.
     pub releases: u32,
-    /// Every halt, in order.
+    /// Every halt in the order of occurrence.
     pub halts: Vec<HaltRecord>,
-    /// The caps at the end.
+    /// The caps at the end of the session.
     pub caps: Caps,
-    /// The base at the end.
+    /// The state of the base at the end.
     pub odometry: Odometry,
     /// Final positions of the scene's objects.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub objects: Vec<SceneObject>,
     /// Whether the robot rests at the end.
     pub at_rest: bool,
-    /// What came over the links.
+    /// Statistics of the received frames.
     pub frames: Frames,
     /// What was dropped.
     pub drops: Drops,
@@ -220,7 +220,7 @@ pub struct Summary {
     pub robot_timeouts: u32,
     /// Delays, in virtual time.
     pub latency: Latency,
-    /// Everything that happened, in order.
+    /// All events in the order of occurrence.
     pub events: Vec<BridgeEvent>,
 }
 
@@ -269,6 +269,6 @@ pub struct Frames {
 pub struct Latency {
     /// Time from the end of the deciding window to the arm's first joint velocity.
     pub window_end_to_arm: DelaySummary,
-    /// Time from the sample that starts a command to the first wheel speed (from rest only).
+    /// Time from the sample that starts a command to the first wheel speed (only for starts from rest).
     pub sample_to_wheels: DelaySummary,
 }

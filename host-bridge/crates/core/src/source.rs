@@ -25,10 +25,10 @@ pub trait HandSource: Send {
     /// Processes bytes from the bridge. Answers are appended to `wire`, now or in a later step.
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 
-    /// A key was pressed or repeated.
+    /// Reports that a key was pressed or repeated.
     fn press(&mut self, _key: HandKey, _now_ms: u64) {}
 
-    /// A key is up.
+    /// Reports that a key was released.
     fn release(&mut self, _key: HandKey) {}
 
     /// Returns the sensor sample of the last step for observers, if there was one.
@@ -36,7 +36,7 @@ pub trait HandSource: Send {
         None
     }
 
-    /// Returns whether its recording has ended. It is silent from then on.
+    /// Returns whether the hand's recording has ended. The hand is silent from then on.
     fn ended(&self) -> bool {
         false
     }
@@ -46,7 +46,7 @@ pub trait HandSource: Send {
 pub enum Source<'b> {
     /// The hand does not take part.
     Nobody,
-    /// An external link, with the frames to be sent, newest last.
+    /// An external link, with the frames to be sent; the newest is last.
     Link(Vec<Vec<u8>>),
     /// Something here.
     Here {

@@ -1,10 +1,10 @@
 //! Driving in proportion to the tilt, an alternative to the paper's four headings.
 //!
 //! As with the four headings, the board decides whether the base drives at all.
-//! A command starts with an intended tilt and ends below the same threshold.
-//! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate;
-//! together they drive an arc.
-//! Silence, neutral, stops, caps and the guard work in the same way.
+//! A command starts with an intended tilt, and ends below the board's threshold, as with the headings.
+//! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate.
+//! Together, the two tilts drive an arc.
+//! Silence, neutral, stops, caps and the guard work as with the four headings.
 
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
@@ -42,7 +42,7 @@ impl Tilts {
     }
 
     /// Returns the smallest tilt per axis, or zero if their signs differ.
-    /// The base therefore slows down immediately when the hand returns.
+    /// The base therefore slows down as soon as the hand returns towards neutral.
     pub fn meant(&self) -> Tilt {
         let least = |of: fn(&Tilt) -> i16| {
             let [first, rest @ ..] = self.0.each_ref().map(of);
@@ -62,9 +62,9 @@ impl Tilts {
 pub struct TiltDrive {
     /// Whether speed and turn rate follow the tilt; otherwise, the paper's four headings apply.
     pub proportional: bool,
-    /// Smaller tilts cause no motion (8° = 140).
+    /// Smaller tilts cause no motion (8° are 140 mrad).
     pub dead_mrad: u16,
-    /// Tilts above this value cause the full cap (40° = 698).
+    /// Tilts above this value cause the full cap (40° are 698 mrad).
     pub full_mrad: u16,
     /// Factor for tilts between these two values. The result is limited to the cap.
     pub gain: f64,
@@ -75,7 +75,7 @@ pub struct TiltDrive {
 }
 
 impl TiltDrive {
-    /// The paper's four headings; in proportional mode, 8° to 40°.
+    /// The default is the paper's four headings; proportional mode uses 8° to 40°.
     pub const DEFAULT: Self = TiltDrive {
         proportional: false,
         dead_mrad: 140,

@@ -40,7 +40,7 @@ struct World {
     pings: VecDeque<(u64, u32)>,
     state: LeftState,
     boot_id: u32,
-    /// The board's clock minus the test's.
+    /// The difference between the board's clock and the test's clock.
     board_ahead_ms: u32,
     sampled_ms: u64,
     heading: Heading,
@@ -209,7 +209,7 @@ impl World {
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
-            // Preceding noise may have destroyed it.
+            // Earlier noise on the line may have destroyed the frame.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
                 // An overtaken state has no effect.
@@ -223,7 +223,7 @@ impl World {
                 }
                 self.seen_ms[place(heading)] = self.seen_ms[place(heading)].max(sampled_ms);
             }
-            // Frames are processed one by one, because the next one may end neutral.
+            // Frames are processed one by one, because the next frame may interrupt neutral.
             self.judge_arming(was_armed);
         }
         let was_armed = self.is_armed();
@@ -297,6 +297,6 @@ fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neut
     println!(
         "row: hostile link: age of the acting state | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
     );
-    // The robot did move; otherwise, the test would prove nothing.
+    // The robot did move; otherwise, the test would check nothing.
     assert!(armed > steps / 2000 && commands > steps / 20, "{armed} {commands}");
 }

@@ -1,7 +1,7 @@
 //! Checks that ages are upper bounds: for any delays of a link, no command older than 250 ms has an effect.
 //!
 //! The test knows the true time of each sample, and compares it with the time at which the base moves.
-//! All of this is in virtual time.
+//! The whole test runs in virtual time.
 
 mod support;
 
@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use shared_proto::message::{BoardMessage, Heading, HostMessage, LeftState, Pong};
 use support::{NoRobot, encode, hello};
 
-/// The delay of a link as a function of the sending time. Nothing is overtaken.
+/// The delay of a link as a function of the sending time. The order is preserved.
 type Delay = fn(u64) -> u64;
 
 /// A left hand on a board with a drifting clock, behind a link with delays.
@@ -22,7 +22,7 @@ struct Street {
     bridge: Bridge,
     robot: NoRobot,
     now_ms: u64,
-    /// Drift of the board's clock against the laptop's in parts per million.
+    /// Drift of the board's clock relative to the laptop's, in parts per million.
     drift_ppm: i64,
     up: Delay,
     down: Delay,
@@ -120,7 +120,7 @@ impl Street {
         self.now_ms += 1;
     }
 
-    /// Is neutral for a while and then alternates between forward and backward.
+    /// Keeps the hand neutral for a while and then alternates between forward and backward.
     fn drive(&mut self, seconds: u64) {
         self.hold(Heading::Neutral, 1500);
         for _ in 0..seconds {
@@ -187,7 +187,7 @@ fn pings_that_go_unanswered_for_500_ms_halt_a_hand_that_goes_on_talking() {
 
 #[test]
 fn a_link_that_becomes_slow_stops_within_its_limit_and_stays_stopped() {
-    // With a drift allowance that reduces the age, five minutes at a delay of 1.5 s gave age zero after 129 s.
+    // When the drift allowance reduced the age, five minutes at a delay of 1.5 s gave age zero after 129 s.
     let up: Delay = |now| if now < 5000 { 5 } else { 1500 };
     for drift_ppm in [-50_000, 0, 50_000] {
         let mut street = Street::new(up, none, drift_ppm);

@@ -21,18 +21,18 @@ pub struct Collector {
 /// The reason why a recording cannot continue, with a remedy in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CaptureProblem {
-    /// Samples are missing, so the data before and after the gap is not continuous.
+    /// Samples are missing, so the data before and after the gap are not continuous.
     #[error("{missing} samples are missing after {after_ms} ms; check the cable and record again")]
     Gap {
         /// How many.
         missing: u32,
-        /// Where, from the start.
+        /// Position of the gap, counted from the start.
         after_ms: u64,
     },
     /// The number of samples decreased, so the board has restarted.
     #[error("the board restarted after {after_ms} ms; check its power and record again")]
     Restart {
-        /// When, from the start.
+        /// Time of the restart, counted from the start.
         after_ms: u64,
     },
     /// The board changed its number of axes during the recording.
@@ -46,15 +46,15 @@ pub enum CaptureProblem {
 }
 
 impl Collector {
-    /// Creates a collector for `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this sampling rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         Collector { wanted, sample_hz, axes: None, values: Vec::new(), next_sample: 0, clipped: 0 }
     }
 
-    /// Adds a batch. Returns true if there are enough samples.
+    /// Adds a batch of samples. Returns true if there are enough samples.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if the batch does not continue the previous one.
+    /// Returns [`CaptureProblem`] if the batch does not continue the previous one.
     pub fn push(&mut self, batch: &RawBatch) -> Result<bool, CaptureProblem> {
         let axes = usize::from(batch.axes);
         let after_ms = self.len() as u64 * 1000 / u64::from(self.sample_hz.max(1));
@@ -124,22 +124,22 @@ impl Collector {
 pub struct LeftCollector {
     wanted: usize,
     period_ms: u32,
-    /// Board time of the first.
+    /// Board time of the first sample.
     first_ms: u32,
     samples: Vec<(u64, AdcCounts)>,
 }
 
 impl LeftCollector {
-    /// Creates a collector for `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this sampling rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         let period_ms = 1000 / u32::from(sample_hz.clamp(1, 1000));
         LeftCollector { wanted, period_ms, first_ms: 0, samples: Vec::new() }
     }
 
-    /// Adds a sample. Returns true if there are enough.
+    /// Adds a sample. Returns true if there are enough samples.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if the sample does not continue the previous one.
+    /// Returns [`CaptureProblem`] if the sample does not continue the previous one.
     pub fn push(&mut self, raw: &RawAdc) -> Result<bool, CaptureProblem> {
         if self.samples.is_empty() {
             self.first_ms = raw.board_time_ms;
@@ -178,8 +178,8 @@ impl LeftCollector {
         self.samples.iter().filter(|(_, counts)| counts.as_array().into_iter().any(ends)).count()
     }
 
-    /// Returns one of the five channels in the newest `count` samples, oldest first,
-    /// as fractions of the converter's range.
+    /// Returns one of the five channels in the newest `count` samples, oldest first.
+    /// The values are fractions of the converter's range.
     pub fn newest(&self, line: usize, count: usize) -> Vec<f32> {
         let from = self.samples.len().saturating_sub(count);
         let part = |counts: &AdcCounts| f32::from(counts.as_array()[line]) / f32::from(AdcCounts::MAX);
@@ -192,7 +192,7 @@ impl LeftCollector {
     }
 }
 
-/// Draws values as a line of bars, from `least` to `most`.
+/// Draws values as a line of bars, scaled from `least` to `most`.
 pub fn sparkline(values: &[f32], least: f32, most: f32) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let bar = |value: &f32| {

@@ -2,15 +2,15 @@
 //!
 //! | key | hand | effect |
 //! |---|---|---|
-//! | arrows | left | forward, backward, turn left, turn right, while held |
-//! | `q`, `z` | left | one step faster, slower (index bend, middle bend) |
+//! | arrows | left | drive forward or backward, turn left or right, while held |
+//! | `q`, `z` | left | raise or lower the caps by one step (index bend, middle bend) |
 //! | `1` … `6` | right | the six gestures in the order of the labels |
 //!
 //! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
 //! Debouncing, the dead-man, the caps and the stop therefore apply to it too.
 //! A terminal reports key presses and repeats, but no releases.
-//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat it.
-//! Then it counts for [`KeyTimes::repeat_ms`] after each repeat, and finally the hand is neutral again.
+//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat the key.
+//! Afterwards, the arrow counts for [`KeyTimes::repeat_ms`] after each repeat, and finally the hand is neutral again.
 
 use std::collections::VecDeque;
 
@@ -37,7 +37,7 @@ const HOP_SAMPLES: u32 = 8;
 
 /// Minimum time between steps, because a held key repeats up to thirty times per second.
 const STEP_INTERVAL_MS: u64 = 200;
-/// A bend counts once it was held for 120 ms, and the next one only after the finger was straight.
+/// A bend counts once it has lasted for 120 ms, and the next one counts only after the finger was straight.
 const BENT_MS: u64 = 140;
 /// Maximum number of steps that wait for the current one.
 const STEPS_WAITING: usize = 2;
@@ -50,7 +50,7 @@ const ASLEEP_MS: u64 = 100;
 pub struct KeyTimes {
     /// Duration after the first press, slightly longer than the delay before terminals repeat a key.
     pub first_press_ms: u64,
-    /// After each repeat.
+    /// Duration after each repeat of the key.
     pub repeat_ms: u64,
     /// The key that ends only the arm's motion, while the base continues.
     pub end_arm: char,
@@ -66,7 +66,7 @@ fn identity(board: Board) -> Identity {
     Identity { board, firmware: "keyboard", boot_id: 1, sample_hz: 100 }
 }
 
-/// The periods of a board up to a time.
+/// Counts the periods of a board up to a time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Periods {
     next_ms: Option<u64>,
@@ -84,7 +84,7 @@ impl Periods {
     }
 }
 
-/// Arrow keys, q and z as a left hand.
+/// A left hand that is controlled by the arrow keys, q and z.
 #[derive(Clone, Debug)]
 pub struct KeyLeft {
     times: KeyTimes,
@@ -93,7 +93,7 @@ pub struct KeyLeft {
     /// The active arrow, and the time at which it expires.
     held: Option<(Heading, u64)>,
     last_step_ms: Option<u64>,
-    /// Fingers to bend, each with the start of its bend; the current one is first.
+    /// Fingers to bend, each with the start time of its bend; the current one is first.
     steps: VecDeque<(Finger, u64)>,
     dither: u16,
 }
@@ -268,7 +268,7 @@ impl Hand for KeyHand {
     }
 }
 
-/// Keys 1 to 6 as a right hand.
+/// A right hand that is controlled by the keys 1 to 6.
 #[derive(Clone, Debug)]
 pub struct KeyRight {
     board: VirtualRight<KeyHand>,

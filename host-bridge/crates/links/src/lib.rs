@@ -1,10 +1,9 @@
 //! Sources of hands (serial ports, Bluetooth, recordings, keys), and a client for a single board.
 //!
 //! * [`links`]: ports, and the clock that they share,
-//! * [`hands`], [`keyboard`]: what behaves like a board inside this program, with [`wire`] between,
-//! * [`talk`], [`upload`], [`capture`], [`survey`]: one board asked for something, as `doctor`, `record` and
-//!   `send-model` do,
-//! * [`showing`]: a wearer shows gestures within a session, and the board gets what was learnt.
+//! * [`hands`], [`keyboard`]: hands that behave like boards inside this program, and [`wire`], the line between them,
+//! * [`talk`], [`upload`], [`capture`], [`survey`]: communication with one board, for programs such as `doctor`,
+//! * [`showing`]: gestures that a wearer shows during a session, and the transfer of the trained model to the board.
 
 pub mod capture;
 pub mod hands;

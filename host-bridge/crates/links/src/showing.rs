@@ -1,12 +1,12 @@
-//! A wearer shows each gesture a few times, and the board gets a model that has learnt them. Sans-IO.
+//! A wearer shows each gesture a few times, and the board receives a model that was trained on them. Sans-IO.
 //!
 //! ```text
 //! Asking ─Ok─► Ready ⇄ Taking … ─► Back ─Ok─► Learning ─model─► Sending ─► Kept ─restart─► over
-//!   └ record mode: the board sends samples, and no state: the robot stands still, whatever is drawn ┘
+//!   └ record mode: the board sends samples but no states, so the robot stands still during every gesture ┘
 //! ```
 //!
-//! Who drives it sends what [`Showing::poll`] says, hands over what the board sends, and learns from what
-//! [`Showing::take_shown`] gives, elsewhere: nothing here takes long.
+//! The owner sends the messages of [`Showing::poll`] and passes on the board's bytes.
+//! All functions here return quickly, so the training on the data of [`Showing::take_shown`] runs elsewhere.
 
 use models::recording::Recording;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
@@ -16,27 +16,27 @@ use crate::capture::Collector;
 use crate::talk::{Said, advice, owned};
 use crate::upload::{Stage, Upload};
 
-/// How often each gesture is shown.
+/// Number of times that each gesture is shown.
 pub const TIMES: usize = 3;
-/// Length of what is taken, from the word "now" on.
+/// Duration of one take, counted from the word "now".
 const TAKE_MS: u64 = 3000;
-/// Time to get ready: for another gesture, and for the same once more.
+/// Time to get ready: the first for another gesture, the second for a repetition of the same one.
 const READY_MS: u64 = 3000;
 const AGAIN_MS: u64 = 1200;
-/// Without an answer for this long a request is repeated, and after the other it has failed.
+/// A request without an answer is repeated after the first of these times, and fails after the second one.
 const REPEAT_MS: u64 = 1000;
 const ANSWER_MS: u64 = 5000;
 /// If no samples come for this long, the board is not recording.
 const SILENCE_MS: u64 = 3000;
-/// How often in a row a take may be spoilt.
+/// Maximum number of consecutive takes that may be spoilt.
 const SPOILT_MAX: u32 = 3;
-/// A model that makes no progress for this long is not kept.
+/// A transfer without progress for this long is abandoned.
 const SENDING_MS: u64 = 60_000;
-/// A hand moves that is accelerated or turned by more than this (root of the summed variances).
+/// A hand counts as moving if acceleration or rotation varies by more than this (root of the summed variances).
 const MOVES_M_S2: f64 = 0.8;
 const MOVES_DEG_S: f64 = 30.0;
 
-/// What was shown: labels and recordings.
+/// The gestures that were shown, as labels and recordings.
 pub type Shown = Vec<(String, Recording)>;
 
 /// See the module.
@@ -48,33 +48,33 @@ pub struct Showing {
     /// The number of the next request.
     request: u16,
     phase: Phase,
-    /// When the phase began, and when a request was last sent in it.
+    /// Start of the phase, and the time of the last request in it.
     since_ms: u64,
     asked_ms: Option<u64>,
     shown: Shown,
     spoilt: u32,
-    /// What went wrong with the last take.
+    /// The problem with the last take.
     remark: Option<String>,
-    /// The board is in record mode, as far as is known.
+    /// Whether the board is in record mode, as far as is known.
     records: bool,
 }
 
 enum Phase {
-    /// Record mode was asked for.
+    /// Record mode was requested from the board.
     Asking,
     /// The wearer gets ready.
     Ready { until_ms: u64 },
     /// The wearer draws.
     Taking { collector: Collector, heard_ms: u64 },
-    /// The board goes back to its own work; then this follows.
+    /// The board returns to its normal mode; afterwards, this follows.
     Back(After),
-    /// What was shown is being learnt.
+    /// A model is being trained on the gestures that were shown.
     Learning { taken: bool },
-    /// The new model is on its way.
+    /// The new model is being sent.
     Sending { upload: Upload, reached: usize },
-    /// The board has it, and uses it from its next start on.
+    /// The board has stored the model, and will use it after its next start.
     Kept { model_id: u32 },
-    /// Done, or given up; the text says which.
+    /// The work is done or was abandoned; the text says which.
     Over { text: String, is_done: bool },
 }
 
@@ -84,7 +84,7 @@ enum After {
 }
 
 impl Showing {
-    /// A wearer shows these gestures to the board of this start, and requests are numbered from `request` up.
+    /// Asks for these gestures. `boot_id` identifies the board's start, and requests are numbered from `request`.
     pub fn new(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
         let phase = if labels.is_empty() {
             Phase::Over { text: "the model knows no gesture that could be shown".to_owned(), is_done: false }
@@ -94,7 +94,7 @@ impl Showing {
         Showing { phase, ..Self::begin(labels, sample_hz, boot_id, request, now_ms) }
     }
 
-    /// A model that the wearer has shown before goes to the board of this start.
+    /// Begins to send a model that was trained earlier to the board with this start.
     pub fn sending(upload: Upload, boot_id: u32, now_ms: u64) -> Self {
         let phase = Phase::Sending { upload, reached: 0 };
         Showing { phase, ..Self::begin(Vec::new(), 0, boot_id, 0, now_ms) }
@@ -117,7 +117,7 @@ impl Showing {
         }
     }
 
-    /// What the wearer is asked or told now.
+    /// Returns the current request or message for the wearer.
     pub fn text(&self) -> String {
         let still = "the robot stands still meanwhile";
         match &self.phase {
@@ -146,7 +146,7 @@ impl Showing {
         }
     }
 
-    /// What a key or a button does now.
+    /// Returns the current effect of the key or button.
     pub fn button(&self) -> Option<&'static str> {
         match self.phase {
             Phase::Over { .. } => None,
@@ -155,13 +155,13 @@ impl Showing {
         }
     }
 
-    /// The gesture that is shown next, and for which time.
+    /// Returns the gesture to show next, and the number of its repetition.
     fn place(&self) -> (&str, usize) {
         let label = self.labels.get(self.shown.len() / TIMES).map_or("", String::as_str);
         (label, self.shown.len() % TIMES + 1)
     }
 
-    /// Whether it is over, and whether the board uses what it was sent.
+    /// Returns whether the work is over, and whether the board uses the sent model.
     pub fn is_over(&self) -> Option<bool> {
         match self.phase {
             Phase::Over { is_done, .. } => Some(is_done),
@@ -169,12 +169,12 @@ impl Showing {
         }
     }
 
-    /// Gestures of the wearer shall have no effect: they are shown, or the model that names them is on its way.
+    /// Returns whether gestures have no effect, because they are being shown or their model is being sent.
     pub fn holds_gestures(&self) -> bool {
         !matches!(self.phase, Phase::Kept { .. } | Phase::Over { .. })
     }
 
-    /// What has been shown, once, when it is complete: to be learnt, and [`Showing::learnt`] follows.
+    /// Returns all recordings once when they are complete. They are used for training, and [`Showing::learnt`] follows.
     pub fn take_shown(&mut self) -> Option<Shown> {
         match &mut self.phase {
             Phase::Learning { taken } if !*taken => {
@@ -185,7 +185,7 @@ impl Showing {
         }
     }
 
-    /// The model that has learnt what was shown, or why there is none.
+    /// Passes on the trained model, or the reason why there is none.
     pub fn learnt(&mut self, blob: Result<Vec<u8>, String>, now_ms: u64) {
         if !matches!(self.phase, Phase::Learning { .. }) {
             return;
@@ -199,13 +199,13 @@ impl Showing {
         self.since_ms = now_ms;
     }
 
-    /// The wearer gives up. Whatever the board runs it goes on running.
+    /// The wearer gives up. The board continues to use its current model.
     pub fn cancel(&mut self, why: &str, now_ms: u64) {
         if let Phase::Kept { model_id } = self.phase {
             let text = format!("the board uses model {model_id:08x} from its next start on");
             self.phase = Phase::Over { text, is_done: false };
         } else if matches!(self.phase, Phase::Back(After::GiveUp(_))) {
-            // It has been given up already.
+            // The wearer has already given up.
         } else if self.records {
             self.go(Phase::Back(After::GiveUp(why.to_owned())), now_ms);
         } else if self.is_over().is_none() {
@@ -213,7 +213,7 @@ impl Showing {
         }
     }
 
-    /// The message to send to the board now, if any. Ask only when it can really be sent.
+    /// Returns the message to send to the board now, if any. Call this only if it can really be sent.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         self.advance(now_ms);
         let mode = match &mut self.phase {
@@ -230,9 +230,9 @@ impl Showing {
         Some(HostMessage::SetMode { request: self.request, mode })
     }
 
-    /// Bytes of the board, in any slicing.
+    /// Processes bytes from the board, in portions of any size.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64) {
-        // The decoder lends its buffer to the message, and handling one needs the rest.
+        // The message borrows the decoder's buffer, while its processing needs the rest.
         let mut decoder = std::mem::take(&mut self.decoder);
         for &byte in bytes {
             if let Some(said) = decoder.push_board(byte).and_then(|message| owned(&message)) {
@@ -249,7 +249,7 @@ impl Showing {
         self.request = self.request.wrapping_add(1);
     }
 
-    /// What follows from the time alone.
+    /// Handles everything that depends only on the time.
     fn advance(&mut self, now_ms: u64) {
         let passed_ms = now_ms.saturating_sub(self.since_ms);
         match &mut self.phase {
@@ -264,7 +264,7 @@ impl Showing {
             Phase::Taking { heard_ms, .. } if now_ms.saturating_sub(*heard_ms) > SILENCE_MS => {
                 self.cancel("no samples for 3 s; restart the board, and try again", now_ms);
             }
-            // `run` calls a board back from record mode whenever it starts.
+            // After each start, `run` switches a board back from record mode.
             Phase::Back(after) if passed_ms >= ANSWER_MS => {
                 let text = match after {
                     After::Learn => "the board did not go back to classifying".to_owned(),
@@ -399,7 +399,7 @@ impl Showing {
     }
 }
 
-/// Whether a hand moves in a recording, as in any gesture.
+/// Returns whether a hand moves in a recording, as it does in any gesture.
 fn moves(recording: &Recording) -> bool {
     let spread = |axes: std::ops::Range<usize>| {
         let count = recording.len().max(1) as f64;

@@ -1,4 +1,4 @@
-//! Measures the quality of a link for `doctor`. Times are arguments, and nothing here waits.
+//! Measures the quality of a link for `doctor`. Times are arguments, and no function waits.
 
 use shared_proto::counter::{Order, SequenceTracker};
 
@@ -26,7 +26,7 @@ impl Survey {
         }
     }
 
-    /// A ping came back.
+    /// Reports that a ping was answered.
     pub fn round_trip(&mut self, ms: u64) {
         self.round_trips_ms.push(ms);
     }
@@ -54,7 +54,7 @@ impl Survey {
     }
 
     /// Returns the drift of the board's clock against ours in parts per million, and its standard deviation.
-    /// It fits a straight line through all times.
+    /// The function fits a straight line through all times.
     pub fn drift_ppm(&self) -> Option<(f64, f64)> {
         let n = self.times.len() as f64;
         if n < 10.0 {

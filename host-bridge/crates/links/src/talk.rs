@@ -35,11 +35,11 @@ pub enum Said {
     About(About),
     /// A left state.
     Left(LeftState),
-    /// A right state: sequence number, board time, label of the last event, number of events.
+    /// A right state: sequence number, board time, label of the last event, and number of events.
     Right {
         /// A number that increases with each state.
         sequence: u16,
-        /// Board clock at the newest sample.
+        /// Time of the newest sample on the board's clock.
         board_time_ms: u32,
         /// Gestures so far.
         events: u8,
@@ -88,9 +88,9 @@ pub struct ModelNeeds {
     pub model_id: u32,
     /// How features are made.
     pub recipe: u8,
-    /// Values per sample that the model needs.
+    /// Number of values per sample that the model needs.
     pub axes: u8,
-    /// Values per sample of the board; the same as the model's if the board does not report them.
+    /// Number of values per sample of the board; equal to the model's if the board reports no number.
     pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -100,7 +100,7 @@ pub struct ModelNeeds {
     pub labels: Vec<String>,
 }
 
-/// Raw samples as sent.
+/// Raw samples in the form in which they were sent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawBatch {
     /// Number of the first sample since the board's start.
@@ -135,10 +135,10 @@ pub enum TalkError {
     Text {
         /// The port.
         port: String,
-        /// The end of the received text.
+        /// The last part of the received text.
         text: String,
     },
-    /// There is a board that this program cannot use.
+    /// A board answers, but this program cannot use it.
     #[error("{0}")]
     Unusable(String),
     /// A request was not answered.
@@ -227,7 +227,7 @@ impl Talk {
         self.clock.now_ms()
     }
 
-    /// Returns the waiter of the communicating thread, for all waits other than for events.
+    /// Returns the waiter of the communicating thread, for all waits except those for events.
     pub fn waiter(&self) -> &Waiter {
         &self.waiter
     }
@@ -288,7 +288,7 @@ impl Talk {
     /// Asks the board for its identity, twice per second as soon as this is safe.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open, no answer arrives in time, or the board cannot be used.
+    /// Returns [`TalkError`] if the port does not open, no answer arrives in time, or the board cannot be used.
     pub fn hello(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let who = self.meet(patience_ms)?;
         match &who.problem {
@@ -300,7 +300,7 @@ impl Talk {
     /// Like [`Talk::hello`], but also accepts a board that cannot be used.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open or no answer arrives in time.
+    /// Returns [`TalkError`] if the port does not open or no answer arrives in time.
     pub fn meet(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let patience_ms = if is_ble(self.port()) { patience_ms.max(BLE_MEET_MS) } else { patience_ms };
         let until_ms = self.now_ms() + patience_ms;
@@ -359,7 +359,7 @@ impl Talk {
     /// Sends a request every second until its final answer arrives; `Started` only extends the wait.
     ///
     /// # Errors
-    /// [`TalkError`] if the link fails, no answer arrives in time, or the board refuses.
+    /// Returns [`TalkError`] if the link fails, no answer arrives in time, or the board refuses.
     pub fn request(
         &mut self,
         patience_ms: u64,
@@ -463,7 +463,7 @@ impl TextHeard {
         self.last.drain(..beyond);
     }
 
-    /// Returns the end of the received data, if the data is text.
+    /// Returns the last part of the received data, if the data is text.
     fn line(&self) -> Option<String> {
         (!self.frames && self.last.len() >= Self::LEAST)
             .then(|| String::from_utf8_lossy(&self.last).into_owned())

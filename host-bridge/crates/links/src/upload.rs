@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
-//!   ▲             │ no answer for a second, link cut: the same piece again
-//!   └─────────────┘ board restarted, lost its place: from the start
+//!   ▲             │ no answer for a second, or link interrupted: the same piece again
+//!   └─────────────┘ board restarted or forgot its place: from the start
 //! ```
 
 use shared_board::hand::model_info_on_the_wire;
@@ -71,10 +71,10 @@ pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
 }
 
 impl Upload {
-    /// A transfer of this blob that has not begun. `request` numbers its first message.
+    /// Creates a transfer of this blob, which has not begun. Its first message has the number `request`.
     ///
     /// # Errors
-    /// [`ModelError`] if the bytes are no model.
+    /// Returns [`ModelError`] if the bytes are not a model.
     pub fn new(blob: &[u8], request: u16) -> Result<Self, ModelError> {
         let model_id = Model::parse(blob)?.info().model_id;
         let blob = blob.to_vec();
@@ -101,8 +101,8 @@ impl Upload {
         (done, self.blob.len())
     }
 
-    /// The message to send now, if any: once, and again when no answer came. Call [`Upload::unsent`]
-    /// if the link did not take it.
+    /// Returns the message to send now, if any: once, and again if no answer arrives.
+    /// Call [`Upload::unsent`] if the link did not accept the message.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =
             if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
@@ -126,7 +126,7 @@ impl Upload {
         Some(match self.stage {
             Stage::Begin => HostMessage::ModelBegin(ModelBegin {
                 request,
-                // It was parsed when the transfer was made.
+                // The blob was parsed when the transfer was created.
                 info: model_info_on_the_wire(Model::parse(&self.blob).ok()?.info()),
                 scaling: ModelBegin::DATA_SHEET_SCALING,
                 size: self.blob.len() as u32,
@@ -167,7 +167,7 @@ impl Upload {
             AckResult::Started => self.started = true,
             AckResult::Ok if self.stage == Stage::Commit => self.go(Stage::Done),
             AckResult::Ok => self.go(wanted(ack.next_offset)),
-            // The board has no announced model (any more).
+            // The board does not know the announced model, or has forgotten it.
             AckResult::WrongOffset if ack.next_offset == 0 => self.go(Stage::Begin),
             AckResult::WrongOffset => self.go(wanted(ack.next_offset)),
             AckResult::BadChecksum | AckResult::StorageFailed => self.go(Stage::Begin),
@@ -278,7 +278,7 @@ mod tests {
             labels: vec!["x".to_owned()],
         };
         assert_eq!(misfit(&model, &board), None);
-        // It reads no magnetometer.
+        // The model reads no magnetometer.
         board.board_axes = 6;
         assert_eq!(misfit(&model, &board), None);
         board.board_axes = 3;
@@ -302,8 +302,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
-        /// Whatever is lost or repeated, and even if the board restarts a few times,
-        /// the complete model is stored in the end.
+        /// Messages may be lost or repeated, and the board may restart a few times.
+        /// The complete model is stored nevertheless.
         #[test]
         fn losses_repetitions_and_restarts_only_cost_time(
             fates in prop::collection::vec(0u8..20, 0..200),

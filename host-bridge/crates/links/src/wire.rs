@@ -14,7 +14,7 @@ pub struct Pipe {
 }
 
 impl Pipe {
-    /// An empty pipe of this speed.
+    /// Creates an empty pipe with this speed.
     pub fn new(bytes_per_ms: f64) -> Self {
         Pipe { bytes_per_ms, credit: 0.0, queue: VecDeque::new() }
     }

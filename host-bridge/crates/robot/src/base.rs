@@ -31,7 +31,7 @@ pub struct BaseConfig {
     pub wheel_radius_m: f64,
     /// Distance between the wheels' contact points.
     pub track_m: f64,
-    /// Fastest wheel speed.
+    /// Maximum speed of a wheel.
     pub wheel_speed_max_rad_s: f64,
     /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
@@ -40,9 +40,9 @@ pub struct BaseConfig {
 }
 
 impl Default for BaseConfig {
-    /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim,
-    /// which suffices for the largest cap (1.0 m/s).
-    /// After a metre, the standard deviation of their distance is 1 cm.
+    /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim.
+    /// These values suffice for the highest possible cap (1.0 m/s).
+    /// After one metre, the standard deviation of a wheel's distance is 1 cm.
     fn default() -> Self {
         BaseConfig {
             wheel_radius_m: 0.1,
@@ -58,9 +58,9 @@ impl Default for BaseConfig {
 const SPEED_VARIANCE_MIN: f64 = 1e-6;
 
 impl BaseConfig {
-    /// Returns the covariance of linear (m/s) and angular speed (rad/s), averaged over `interval_s`,
-    /// for wheel speeds in rad/s.
-    /// It results from the same distance errors of the wheels as the covariance of the pose.
+    /// Returns the covariance of linear (m/s) and angular speed (rad/s), averaged over `interval_s`.
+    /// The wheel speeds are in rad/s.
+    /// The covariance results from the same distance errors of the wheels as the covariance of the pose.
     pub fn speed_covariance(&self, wheels_rad_s: [f64; 2], interval_s: f64) -> [[f64; 2]; 2] {
         let [left, right] = wheels_rad_s.map(|wheel| {
             let rim_m_s = (wheel * self.wheel_radius_m).abs();
@@ -81,9 +81,9 @@ impl BaseConfig {
 /// The position of the base, estimated from its wheels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Odometry {
-    /// Forward of the start, in m.
+    /// Distance in front of the start, in m.
     pub x_m: f64,
-    /// Left of the start, in m.
+    /// Distance to the left of the start, in m.
     pub y_m: f64,
     /// Rotation to the left since the start in rad, not wrapped.
     pub heading_rad: f64,
@@ -120,7 +120,7 @@ impl Base {
         }
     }
 
-    /// Creates a base that moves as reported. Missing wheel speeds are derived from its twist.
+    /// Creates a base that moves as reported. Missing wheel speeds are derived from the reported twist.
     pub fn at(config: BaseConfig, state: &BaseState) -> Self {
         let wheels = state.wheels.unwrap_or_else(|| Wheels {
             speed_rad_s: config.wheels_rad_s(state.odometry.twist),
@@ -239,7 +239,7 @@ impl Odometry {
     pub fn advance(&mut self, twist: Twist, dt_s: f64) {
         let half_turn = 0.5 * twist.angular_rad_s * dt_s;
         let arc_m = twist.linear_m_s * dt_s;
-        // The chord is shorter than the arc by sin(α/2)/(α/2), and its direction is that of half the turn.
+        // The chord is shorter than the arc by the factor sin(α/2)/(α/2), and points in the direction of half the turn.
         let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
         let direction = self.heading_rad + half_turn;
         self.x_m += chord_m * direction.cos();
@@ -316,7 +316,7 @@ mod tests {
         for (got, expected) in got.as_flattened().iter().zip(expected.as_flattened()) {
             assert!((got - expected).abs() < 1e-12, "{got} {expected}");
         }
-        // The covariance is equal forward and backward. At rest it is small but never zero.
+        // The covariance is the same for forward and backward motion. At rest, it is small but never zero.
         assert_eq!(config.speed_covariance([-3.0, -5.0], 0.02), config.speed_covariance([3.0, 5.0], 0.02));
         assert!(config.speed_covariance([0.0; 2], 0.02)[1][1] > 0.0);
     }

@@ -10,7 +10,7 @@ use crate::{JOINTS, JointLimits, Motion, Trajectory};
 
 /// Step of the integration, in s.
 const STEP_S: f64 = 0.001;
-/// Speeds below this fraction of the planned speed count as rest.
+/// Speeds below this fraction of the planned speed count as standstill.
 const REST: f64 = 1e-6;
 /// An upper limit for the duration of any braking.
 const BRAKING_MAX_S: f64 = 10.0;
@@ -18,7 +18,7 @@ const BRAKING_MAX_S: f64 = 10.0;
 /// The motion at one instant of braking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Instant {
-    /// Since braking began, in s.
+    /// Time since braking began, in s.
     pub time_s: f64,
     /// Position on the trajectory as a time of the trajectory, in s.
     pub along_s: f64,
@@ -68,7 +68,7 @@ fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f6
         if speed.abs() < 1e-9 {
             continue;
         }
-        // The part of the limit that the curvature of the path uses, in the direction of braking.
+        // The part of the limit that the path's curvature uses, in the direction of braking.
         let bend = planned.acceleration_rad_s2[i] * rate * rate * speed.signum();
         brake = brake.min((limits.acceleration_rad_s2[i] + bend).max(0.0) / speed.abs());
         ramp = ramp.min(limits.jerk_rad_s3[i] / speed.abs());

@@ -21,7 +21,7 @@ impl MotionName {
     pub const HOME: &'static str = "home";
     /// A special name that ends the current motion instead of starting one.
     pub const END_ARM: &'static str = "end-arm";
-    /// Not a motion of the configuration: the left hand moves the tool.
+    /// The name for the tool's motion by the left hand, which is not a motion of the configuration.
     pub const JOG: &'static str = "jog";
 
     /// The name.
@@ -64,7 +64,7 @@ impl Serialize for MotionName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leg {
-    /// It is planned; the arm rests.
+    /// The motion is being planned, and the arm rests.
     Planning,
     /// Moving to the home pose.
     ToHome,
@@ -72,16 +72,16 @@ pub enum Leg {
     ToGoal,
     /// The tool follows a hand.
     Jogging,
-    /// Braking, since the motion was abandoned.
+    /// The arm brakes because the motion was abandoned.
     Halting,
 }
 
 /// The current state of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ArmState {
-    /// In rad; NaN if unknown.
+    /// Joint angles in rad; NaN if unknown.
     pub joints_rad: Joints,
-    /// In rad/s; NaN if unknown.
+    /// Joint speeds in rad/s; NaN if unknown.
     pub velocity_rad_s: Joints,
     /// The running motion and its current part, or `None`.
     pub running: Option<(MotionName, Leg)>,
@@ -120,14 +120,14 @@ pub enum Report {
         /// Whether the arm reached its pose without a halt.
         reached: bool,
     },
-    /// An arm motion that was accepted is not begun: there is no safe way, or something has changed while it was planned.
+    /// An accepted arm motion does not begin, because no safe path exists or something changed during planning.
     MotionRefused {
         /// Which.
         motion: MotionName,
-        /// Why, and what to do.
+        /// The reason, and a remedy.
         reason: String,
     },
-    /// The guard does not let the base drive as asked.
+    /// The guard prevents the requested motion of the base.
     BaseHeld {
         /// The obstacle, or the missing information.
         reason: String,
@@ -140,7 +140,7 @@ pub enum Report {
     Note(String),
 }
 
-/// The complete changing state of the robot, as it reports it.
+/// The complete changing state of the robot, as reported by the robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// The arm. Its angles are NaN if unknown.
@@ -169,7 +169,7 @@ pub struct Picture {
     pub reference_rad: Option<Joints>,
     /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
-    /// What keeps the tool from following a hand, if anything does.
+    /// The reason why the tool does not follow a hand, or `None`.
     pub jog_held: Option<String>,
     /// Ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
@@ -188,27 +188,27 @@ pub trait Door {
     /// Starts an arm motion.
     ///
     /// # Errors
-    /// [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
+    /// Returns [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
 
-    /// Whether a hand could move the tool now.
+    /// Checks whether a hand could move the tool now.
     ///
     /// # Errors
-    /// [`NotStarted`] while a motion runs, or if this robot's arm cannot be moved that way.
+    /// Returns [`NotStarted`] while a motion runs, or if this robot's arm cannot be moved that way.
     fn can_jog(&self) -> Result<(), NotStarted> {
         Err(NotStarted::Refused("this robot's arm cannot be moved by hand".to_owned()))
     }
 
-    /// The tool shall move at this speed, in the arm's base frame, until told otherwise; as far as limits and guard allow.
-    /// Repeated by a bridge that is alive: what is older than a quarter second counts as zero.
+    /// Moves the tool at this speed, in the arm's base frame, as far as limits and guard allow.
+    /// A live bridge repeats the speed; a value older than a quarter of a second counts as zero.
     fn jog(&mut self, _tool_m_s: DVec3) {}
 
-    /// A motion was planned elsewhere, and waits to be begun.
+    /// Returns whether a motion was planned elsewhere and waits for its start.
     fn plan_is_ready(&self) -> bool {
         false
     }
 
-    /// Begins it, if nothing speaks against it by now.
+    /// Begins the planned motion, if it is still permitted.
     fn begin_planned(&mut self) {}
 
     /// Brings base and arm to rest within their limits; targets are forgotten.
@@ -234,7 +234,7 @@ pub trait Door {
     /// Returns the state that the robot reports.
     fn picture(&self) -> Picture;
 
-    /// What does not change.
+    /// Returns the data that does not change.
     fn setting(&self) -> RobotSetting;
 
     /// Position of the arm's base, relative to the point on the floor between the wheels.

@@ -3,12 +3,12 @@
 /// A width to go to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grip {
-    /// Between the fingers, in m.
+    /// Distance between the fingers, in m.
     pub opening_m: f64,
     /// Maximum force in N; `None` means the gripper's default.
     pub effort_n: Option<f64>,
     /// Width of the object between the fingers in the scene, if known.
-    /// Robots without touch need it: a simulated gripper stalls at this width.
+    /// Robots without touch sensors need this width: a simulated gripper stalls at it.
     pub between_m: Option<f64>,
 }
 

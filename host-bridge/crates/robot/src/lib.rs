@@ -8,7 +8,7 @@
 //!
 //! * [`Robot`]: the interface of every robot, such as the simulator or a robot on a ROS 2 graph.
 //! * [`Door`]: the interface for the bridge and for observers. The arm director implements it for all robots.
-//! * [`brake`]: braking on a trajectory's own path,
+//! * [`brake`]: braking along a trajectory's own path,
 //! * [`base`], [`pose`], [`limits`], [`trajectory`], [`shape`]: geometry and motion, without time or links.
 
 pub mod base;
@@ -34,12 +34,12 @@ pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
 pub use setting::{JointSetting, RobotSetting, SceneBox, SceneObject};
 pub use trajectory::Trajectory;
 
-/// Parameters of the Gen3, for tests of code that does not depend on an arm.
+/// Parameters of the Gen3, for tests of code that does not depend on a particular arm.
 #[cfg(test)]
 mod gen3 {
     use crate::{JOINTS, JointLimits, Joints, joints};
 
-    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
+    #[allow(clippy::approx_constant)] // Kinova's file has 3.14, too.
     pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
     /// Kinova's limits at the paper's scaling of 0.1 and 0.05.

@@ -14,7 +14,7 @@ pub struct JointLimits {
 }
 
 impl JointLimits {
-    /// Returns the same limits with a jerk limit for all joints.
+    /// Returns these limits with an additional jerk limit for all joints.
     #[must_use]
     pub fn with_jerk(self, jerk_rad_s3: f64) -> Self {
         JointLimits { jerk_rad_s3: [jerk_rad_s3; JOINTS], ..self }

@@ -6,10 +6,10 @@ use serde::{Serialize, Serializer};
 /// Maximum number of joints that an arm may have. An arm with fewer leaves the last values at zero.
 pub const JOINTS: usize = 8;
 
-/// One value per joint, from the foot on: rad, rad/s, rad/s² or rad/s³ as the name says; for joints that slide m, m/s and so on.
+/// One value per joint, from the foot on: in rad, rad/s, rad/s² or rad/s³; for sliding joints in m, m/s and so on.
 pub type Joints = [f64; JOINTS];
 
-/// Values of an arm's joints, and zero for those that it does not have.
+/// Returns the values of an arm's joints, followed by zeros for the missing ones.
 ///
 /// ```
 /// assert_eq!(host_robot::joints([0.5, -1.0])[..3], [0.5, -1.0, 0.0]);
@@ -24,10 +24,10 @@ pub const fn joints<const N: usize>(own: [f64; N]) -> Joints {
     all
 }
 
-/// Position and orientation of a frame in the base frame of the arm.
+/// Position and orientation of a frame in the arm's base frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pose {
-    /// x forward, y left, z up, in metres.
+    /// Position: x forward, y left, z up, in metres.
     pub position_m: DVec3,
     /// Rotation matrix; serialised row by row.
     #[serde(serialize_with = "rows")]
@@ -38,7 +38,7 @@ impl Pose {
     /// The frame itself.
     pub const IDENTITY: Pose = Pose { position_m: DVec3::ZERO, rotation: DMat3::IDENTITY };
 
-    /// Moves along the frame's own axes and then turns about them.
+    /// Translates along the frame's own axes, and then rotates about them.
     pub fn then(&self, step_m: DVec3, turn: DMat3) -> Pose {
         Pose { position_m: self.at(step_m), rotation: self.rotation * turn }
     }
@@ -58,7 +58,7 @@ impl Pose {
 /// Serialises a rotation matrix row by row, as pages and files require.
 ///
 /// # Errors
-/// Errors of the serialiser.
+/// Returns the errors of the serialiser.
 pub fn rows<S: Serializer>(rotation: &DMat3, serializer: S) -> Result<S::Ok, S::Error> {
     rotation.transpose().to_cols_array_2d().serialize(serializer)
 }

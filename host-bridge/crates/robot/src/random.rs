@@ -24,7 +24,7 @@ impl Random {
         low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    /// One of 0 … `count` − 1.
+    /// Returns one of the numbers from 0 to `count` − 1.
     pub fn below(&mut self, count: usize) -> usize {
         (self.bits() % count.max(1) as u64) as usize
     }

@@ -15,11 +15,11 @@ use crate::trajectory::Trajectory;
 pub struct Reading<T> {
     /// What it reports.
     pub value: T,
-    /// Time since the measurement, or since arrival if the robot sends no time stamp.
+    /// Time since the measurement, or since arrival if the robot sends no stamp.
     pub age_ms: u64,
 }
 
-/// The state of the base, as it reports it.
+/// The state of the base, as reported by the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BaseState {
     /// Position and speed of the base.
@@ -35,7 +35,7 @@ pub struct BaseState {
 pub struct Wheels {
     /// Speeds in rad/s.
     pub speed_rad_s: [f64; 2],
-    /// Angles turned since the start in rad.
+    /// Angles turned since the start, in rad.
     pub angle_rad: [f64; 2],
 }
 
@@ -82,7 +82,7 @@ pub enum End {
     Halted,
 }
 
-/// A base and an arm. It always reports its measured state, never its commands.
+/// A robot with a base and an arm, which always reports its measured state and never its commands.
 ///
 /// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
 /// No method may block.
@@ -98,8 +98,8 @@ pub trait Robot {
     /// `None` means unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
-    /// Returns the position at which the controller holds the resting arm,
-    /// which may differ by a few hundredths of a radian.
+    /// Returns the position at which the controller holds the resting arm.
+    /// The position may differ from the reported one by a few hundredths of a radian.
     /// A motion from this position starts without a jump. `None` means that the robot does not report it.
     fn held_rad(&self) -> Option<Joints> {
         None
@@ -123,37 +123,37 @@ pub trait Robot {
     /// The reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
-    /// Makes the arm follow a trajectory that starts at its position. It replaces the current trajectory.
+    /// Makes the arm follow a trajectory that starts at its position. The new trajectory replaces the current one.
     ///
     /// # Errors
-    /// The reason why it does not follow or grip. Nothing moves in this case.
+    /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
-    /// How far ahead of now a trajectory under way can be continued otherwise; see [`Robot::follow_on`].
+    /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
     ///
     /// # Errors
-    /// Why it cannot, and what to do.
+    /// The reason why the trajectory cannot be changed, with a remedy.
     fn ahead_ms(&self) -> Result<u64, String> {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
 
-    /// Continues the trajectory that is followed otherwise: up to `from_s` of its own time, which is at least
-    /// [`Robot::ahead_ms`] from now, the new one is the same. It ends at rest, so that whoever falls silent after this leaves
-    /// an arm that comes to rest.
+    /// Changes the rest of the running trajectory, from `from_s` of its own time on.
+    /// `from_s` is at least [`Robot::ahead_ms`] from now. Until then, the new trajectory must equal the old one.
+    /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
     /// # Errors
-    /// Why not; the arm goes on as before.
+    /// The reason why the trajectory cannot be changed. The arm then continues as before.
     fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
         self.ahead_ms().map(|_| ())
     }
 
-    /// What the arm does with its trajectory.
+    /// Returns the arm's progress on its trajectory.
     fn following(&self) -> Following;
 
     /// Returns the result of the last trajectory, once per trajectory.
     fn take_end(&mut self) -> Option<End>;
 
-    /// Brings the arm to rest within its limits and abandons its trajectory.
+    /// Brings the arm to rest within its limits, and abandons its trajectory.
     fn halt_arm(&mut self);
 
     /// Brings base, arm and gripper to rest within their limits.
@@ -175,7 +175,7 @@ pub trait Robot {
     /// Moves the gripper to a width.
     ///
     /// # Errors
-    /// The reason why it does not follow or grip. Nothing moves in this case.
+    /// The reason why the gripper does not move. Nothing moves in this case.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }
@@ -193,7 +193,7 @@ pub trait Robot {
         0
     }
 
-    /// Returns how often the robot had to stop by itself, as far as known.
+    /// Returns the number of times the robot had to stop by itself, as far as known.
     fn timeouts(&self) -> u32 {
         0
     }

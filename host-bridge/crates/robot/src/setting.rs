@@ -18,7 +18,7 @@ pub struct RobotSetting {
     pub base: BaseConfig,
     /// Body of the base, relative to the point on the floor between its wheels.
     pub body: UprightBox,
-    /// Position of the arm's base, relative to the same point.
+    /// Position of the arm's base, relative to the point on the floor between the wheels.
     pub mount_m: Point,
     /// Of the arm.
     pub arm_name: String,
@@ -63,12 +63,12 @@ pub struct SceneObject {
     pub pose: Pose,
 }
 
-/// One joint and the link that it moves. Where it slides, angles, speeds and limits are in m instead of rad.
+/// One joint and the link that it moves. For a sliding joint, positions, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointSetting {
-    /// Name in the robot's own description.
+    /// Name of the joint in the robot's own description.
     pub name: String,
-    /// Name of the moved link in the same description.
+    /// Name of the moved link in the robot's own description.
     pub link: String,
     /// Position of the joint in its parent's frame.
     pub origin_m: Point,
@@ -77,9 +77,9 @@ pub struct JointSetting {
     pub origin_rotation: DMat3,
     /// Axis of the joint in its own frame.
     pub axis: Point,
-    /// It slides along its axis instead of turning about it.
+    /// Whether the joint slides along its axis instead of turning about it.
     pub slides: bool,
-    /// Minimum and maximum angle; `None` = turns without end.
+    /// Minimum and maximum angle; `None` means that the joint turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Maximum speed in planned motions.
     pub velocity_max_rad_s: f64,

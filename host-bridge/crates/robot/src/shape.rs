@@ -1,7 +1,7 @@
-//! Distances between the shapes of robot and scene: capsules, upright boxes and the floor.
+//! Distances between the shapes of robot and scene, which are capsules, upright boxes and the floor.
 //!
-//! Both pairs of shapes that occur have an exact solution without iteration.
-//! A distance takes some tens of nanoseconds and is equal on every machine.
+//! Both pairs of shapes that occur have an exact solution that needs no iteration.
+//! A distance takes some tens of nanoseconds, and the result is equal on every machine.
 //! A general collision library (parry3d) would add some 30 crates for two functions.
 //! Instead, `tests/mujoco/check.py` compares these functions with an independent engine.
 
@@ -13,7 +13,7 @@ use crate::pose::Pose;
 /// A point or a direction in metres.
 pub type Point = DVec3;
 
-/// All points closer than `radius_m` to the line from `a_m` to `b_m`. The ends of a sphere are equal.
+/// All points closer than `radius_m` to the line from `a_m` to `b_m`. For a sphere, both ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Capsule {
     /// One end of the centre line.
@@ -149,9 +149,9 @@ fn outside_m(point: Point, half: Point) -> f64 {
 }
 
 /// Distance from a segment to a box around the origin.
-/// Along the segment, the squared distance is convex and consists of parabolas that meet at the planes
-/// of the box's sides.
-/// Its slope is piecewise linear, so the zero of the slope can be found exactly.
+/// Along the segment, the squared distance is convex and consists of parabolas.
+/// The parabolas meet at the planes of the box's sides.
+/// The slope of the squared distance is piecewise linear, so its zero can be found exactly.
 fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     let d = b - a;
     let slope = |t: f64| {

@@ -1,16 +1,16 @@
 //! Motion along several straight segments in joint space, with constant accelerations or constant jerks.
 //!
-//! Between two corners the speed is constant. Around a corner it changes to that of the next segment without a stop
-//! (a parabolic blend, Kunz and Stilman 2011).
+//! Between two corners, the speed is constant. Around a corner, the speed changes to that of the next segment.
+//! The change needs no stop (a parabolic blend, Kunz and Stilman 2011).
 //! Speeds within a blend are between those of the segments, and the slowest joint determines its duration.
 //! Position, speed and acceleration therefore respect their limits at every instant, not only at samples.
 //! On a single segment, the slowest joint determines v = min(vᵢ/|Δqᵢ|) and a = min(aᵢ/|Δqᵢ|).
 //! The duration is 1/v + v/a, or 2/√a if v² > a, as in MoveIt's time-optimal profile.
 //!
-//! With a jerk limit, the acceleration rises, stays constant and falls in each change of speed, equally for all joints.
+//! With a jerk limit, the acceleration of each change of speed rises, stays constant and falls, equally for all joints.
 //! Such a ramp covers the same distance as a uniform change of the same duration.
 //! Blends therefore remain centred on their corners, and all statements above hold.
-//! On one segment, this is the S-curve of seven phases, which is optimal (Biagiotti and Melchiorri 2008, section 3.4).
+//! On one segment, the result is the S-curve of seven phases, which is optimal (Biagiotti and Melchiorri 2008, 3.4).
 
 use crate::{JOINTS, JointLimits, Joints, Motion};
 
@@ -24,7 +24,7 @@ struct Piece {
 }
 
 impl Piece {
-    /// Returns the motion at `time_s` after the start of the piece.
+    /// Returns the motion at `time_s` after the piece's start.
     fn at(&self, time_s: f64) -> Motion {
         let t = time_s.clamp(0.0, self.duration_s);
         let (from, jerk) = (&self.from, &self.jerk_rad_s3);
@@ -42,7 +42,7 @@ impl Piece {
     }
 }
 
-/// A motion that ends at rest. It starts at rest or (while braking) in motion.
+/// A motion that ends at rest. The motion starts at rest, or (while braking) at speed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     pieces: Vec<Piece>,
@@ -70,7 +70,7 @@ fn most(of: &Joints, limits: &Joints) -> f64 {
     (0..JOINTS).map(|i| of[i].abs() / limits[i]).fold(0.0, f64::max)
 }
 
-/// A change of speed whose acceleration rises, stays constant, and falls symmetrically.
+/// A change of speed whose acceleration rises, stays constant, and falls, symmetrically in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Ramp {
     duration_s: f64,
@@ -98,8 +98,8 @@ impl Trajectory {
     }
 
     /// Creates a trajectory through all points of a path.
-    /// It stops at the corners that `stops` selects and slightly cuts the others.
-    /// `stops` begins with the first corner after the start.
+    /// The arm stops at the corners that `stops` selects, and slightly cuts the others.
+    /// The first entry of `stops` is for the first corner after the start.
     pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
         let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
         let mut start = 0;
@@ -126,8 +126,8 @@ impl Trajectory {
         Trajectory::ending_at(joints_rad)
     }
 
-    /// The same up to `at_s`; from there on `for_s` seconds in which the acceleration goes to this one (at a constant jerk, or
-    /// at once if jerk is not limited), and then braking to rest. What lies more than `keep_s` before `at_s` is forgotten.
+    /// Returns this motion up to `at_s`, after which the arm changes to the given acceleration within `for_s` seconds.
+    /// The jerk is constant (or unlimited). Finally, the arm brakes. Parts over `keep_s` before `at_s` are cut.
     #[must_use]
     pub fn continued(
         &self,
@@ -146,7 +146,7 @@ impl Trajectory {
             last.duration_s = last.duration_s.min(at_s - last.start_s);
         }
         next.duration_s = at_s.min(self.duration_s);
-        // It may have been at rest for a while by then.
+        // The arm may have been at rest for a while by then.
         next.push(Motion::at_rest(self.to_rad), [0.0; JOINTS], at_s - next.duration_s);
         next.duration_s = at_s;
         let change = minus(acceleration_rad_s2, &from.acceleration_rad_s2);
@@ -160,10 +160,10 @@ impl Trajectory {
         next.then(&Trajectory::braking(here, limits))
     }
 
-    /// Brakes from motion as fast as the limits allow, all joints together, straight on.
+    /// Brakes from motion as fast as the limits allow, with all joints together, in a straight line.
     ///
     /// With a jerk limit, the current acceleration must first be reduced.
-    /// On a straight segment, this is done in minimum time.
+    /// On a straight segment, the change takes the minimum time.
     /// Within a blend, speed and acceleration have different directions.
     /// There, the acceleration of all joints is reduced to zero before braking begins.
     pub fn braking(from: Motion, limits: &JointLimits) -> Self {
@@ -183,7 +183,7 @@ impl Trajectory {
     }
 
     /// Brakes in minimum time if the acceleration is parallel to the motion.
-    /// Otherwise it returns false and changes nothing.
+    /// Otherwise, the function returns false and changes nothing.
     fn brake_on_the_line(&mut self, from: Motion, limits: &JointLimits) -> bool {
         let (speed, acceleration) = (&from.velocity_rad_s, &from.acceleration_rad_s2);
         let dot = |a: &Joints, b: &Joints| -> f64 { (0..JOINTS).map(|i| a[i] * b[i]).sum() };
@@ -195,10 +195,10 @@ impl Trajectory {
         }
         let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
         let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
-        // This is the loss (or gain) of speed while the acceleration goes to zero.
+        // The speed decreases (or increases) by this value while the acceleration goes to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
-            // This is the end of a ramp to rest. If the loss exceeds the speed, the joints would reverse.
+            // This case is the end of a ramp to rest. If the loss exceeded the speed, the joints would reverse.
             if released < 1.0 + 1e-6 {
                 let duration_s = -2.0 / gain;
                 self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
@@ -235,7 +235,7 @@ impl Trajectory {
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
                 // A blend is centred on its corner.
-                // At the start and the end, one speed is zero, so the arm rests in that half.
+                // At the start and the end, one of the speeds is zero, so the arm rests in that half of the blend.
                 // The motion takes longer by this time.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
@@ -280,7 +280,7 @@ impl Trajectory {
         piece.at(duration_s)
     }
 
-    /// Seconds until rest.
+    /// Returns the time until rest in s.
     pub fn duration_s(&self) -> f64 {
         self.duration_s
     }
@@ -290,7 +290,7 @@ impl Trajectory {
         self.to_rad
     }
 
-    /// Returns the motion at `time_s` after the start. From the end on, it is at the goal and at rest.
+    /// Returns the motion at `time_s` after the start. After the end, the arm rests at the goal.
     pub fn motion(&self, time_s: f64) -> Motion {
         let next = self.pieces.partition_point(|piece| piece.start_s <= time_s);
         match self.pieces.get(next.saturating_sub(1)) {
@@ -322,7 +322,7 @@ impl Trajectory {
         fastest
     }
 
-    /// Returns the times at which jerk or acceleration change, and the end.
+    /// Returns the times at which jerk or acceleration changes, and the end.
     pub fn knots_s(&self) -> Vec<f64> {
         let starts = self.pieces.iter().map(|piece| piece.start_s).filter(|&start_s| start_s > 0.0);
         starts.chain([self.duration_s]).collect()
@@ -344,7 +344,7 @@ fn blends(velocities: &[Joints], limits: &JointLimits) -> Vec<Ramp> {
         .collect()
 }
 
-/// Returns the maximum speeds in segments per second that respect the limits of joints and blends.
+/// Returns the maximum speeds, in segments per second, that respect the limits of joints and blends.
 fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     let top: Vec<f64> = ways.iter().map(|way| 1.0 / most(way, &limits.velocity_rad_s)).collect();
     // Blends must not overlap.
@@ -383,7 +383,7 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
 }
 
 /// Returns the speed, in segments per second, at which a ramp up and a ramp down fill the segment.
-/// There, the ramp's time equals the reciprocal of the speed.
+/// At this speed, the ramp's time equals the reciprocal of the speed.
 fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
     let acceleration = most(way, &limits.acceleration_rad_s2);
     let jerk = most(way, &limits.jerk_rad_s3);
@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
+    #[allow(clippy::approx_constant)] // Kinova's file has 3.14, too.
     fn kinovas_own_poses_take_the_times_of_moveit() {
         // These figures are from MoveIt's time parameterisation at scaling 0.1 and 0.05.
         let limits = paper_limits();
@@ -494,7 +494,7 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
+            // The values are from Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s
@@ -525,7 +525,7 @@ mod tests {
             let halt_s = when * plan.duration_s();
             let halted = plan.motion(halt_s);
             let halting = Trajectory::braking(halted, &limits);
-            // The time to reduce and build up an acceleration, twice each, and to brake in between.
+            // The time to reduce and to build up an acceleration, twice each, and to brake in between.
             let rise_s = 0.43 / jerk;
             let even_s = 0.1397 / 0.43;
             prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));

@@ -1,6 +1,6 @@
 //! The common part of all action clients.
-//! It is created for the vendor of its server, stores the goals that it sent,
-//! and reads the server's reports about them.
+//! The client is created for the vendor of its server.
+//! The client stores the goals that were sent, and reads the server's reports about them.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
 use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};
@@ -49,7 +49,7 @@ pub enum Said<R, F> {
     Accepted,
     /// It does not.
     Rejected,
-    /// How far it is.
+    /// The progress of the goal.
     Feedback(F),
     /// The final status and the result of the goal.
     Result(GoalStatusEnum, R),
@@ -66,7 +66,7 @@ struct Goal {
 /// The goals that were sent to an action's server.
 pub struct Goals {
     known: Vec<Goal>,
-    /// More are not remembered.
+    /// Maximum number of goals that are stored.
     most: usize,
     /// Number of active goals on the server that are not ours.
     foreign: usize,
@@ -88,7 +88,7 @@ impl Goals {
         self.foreign
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send<G, R, F>(&mut self, client: &ActionClient<G, R, F>, ours: u32, goal: G) -> bool
     where
         G: Message + Clone + 'static,
@@ -114,7 +114,7 @@ impl Goals {
         known.is_some_and(|goal| client.cancel_goal(goal.id).is_ok())
     }
 
-    /// Returns all reports with our numbers of the goals. Answers to cancellations are passed to `cancelled`.
+    /// Returns all reports, with our numbers of the goals. Answers to cancellations are passed to `cancelled`.
     pub fn said<G, R, F>(
         &mut self,
         client: &ActionClient<G, R, F>,
@@ -133,7 +133,7 @@ impl Goals {
                 goal.result = client.request_result(goal.id).ok();
                 said.push((goal.ours, Said::Accepted));
             } else {
-                // Kept, because with two servers or a forged answer, another server may still accept it.
+                // The goal is kept, because with two servers or a forged answer, another server may still accept it.
                 said.push((goal.ours, Said::Rejected));
             }
         }
@@ -143,7 +143,7 @@ impl Goals {
             }
         }
         while let Ok(Some((request, response))) = client.result_client().receive_response() {
-            // Kept, because a forged result must not prevent a stop from cancelling the goal.
+            // The goal is kept, because a forged result must not prevent a stop from cancelling it.
             let Some(goal) = goals.iter_mut().find(|goal| goal.result == Some(request)) else { continue };
             goal.result = None;
             said.push((goal.ours, Said::Result(response.status, response.result)));

@@ -1,4 +1,4 @@
-//! Analyses a graph for `doctor --ros2`: the subscribers, and the reasons why there are none.
+//! Analyses a graph for `doctor --ros2`: finds subscribers, or the reasons why there are none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,9 +12,9 @@ use super::vendor::Vendor;
 pub struct Participant {
     /// Whose middleware.
     pub vendor: Vendor,
-    /// The version of the protocol, such as `2.3`; empty if unknown.
+    /// The version of the protocol, such as `2.3`; empty if it is unknown.
     pub version: String,
-    /// Name that the node reports for itself.
+    /// Name that the node reports about itself.
     pub name: Option<String>,
 }
 
@@ -40,7 +40,7 @@ pub struct Endpoint {
 /// What was discovered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Graph {
-    /// Participants other than us, by the first 12 bytes of their GUID.
+    /// Participants other than this program, by the first 12 bytes of their GUID.
     pub participants: BTreeMap<String, Participant>,
     /// Their readers.
     pub readers: Vec<Endpoint>,
@@ -53,7 +53,7 @@ pub struct Graph {
 pub struct Machine {
     /// Domains in which a program on this machine listens.
     pub domains: BTreeSet<u16>,
-    /// A Zenoh router listens.
+    /// Whether a Zenoh router listens.
     pub zenoh: bool,
 }
 
@@ -70,14 +70,14 @@ impl Machine {
             };
             text.lines().skip(1).filter_map(port).collect()
         };
-        // A participant's ports are 7400 + 250 domain + 10 + 2 number, and the next one for its data.
+        // A participant's ports are 7400 + 250 domain + 10 + 2 number, and the following one for its data.
         let domain = |port: u16| {
             let offset = port.checked_sub(7400)?;
             let within = offset % 250;
             (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
         };
         let udp = ports(udp, false);
-        // Both ports must exist, because a single one belongs to another program.
+        // Both ports must exist, because a single port belongs to another program.
         let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
         let domains = pairs.filter_map(|&port| domain(port)).collect();
         Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
@@ -97,7 +97,7 @@ pub struct Topic {
     pub written: bool,
     /// Our offer or request.
     pub reliable: bool,
-    /// Whether the robot does not work without another participant on this topic.
+    /// Whether the robot needs another participant on this topic.
     pub needed: bool,
     /// The key in `[ros2]`.
     pub key: &'static str,
@@ -117,7 +117,7 @@ pub mod wire {
     pub const TRAJECTORY: &str = "trajectory_msgs::msg::dds_::JointTrajectory_";
     /// `std_msgs::msg::dds_::Bool_`
     pub const BOOL: &str = "std_msgs::msg::dds_::Bool_";
-    /// Requests of the action's goals.
+    /// The topic on which the action's goals are requested.
     pub const SEND_GOAL: &str = "control_msgs::action::dds_::FollowJointTrajectory_SendGoal_Request_";
 
     /// A topic's name on the wire.
@@ -145,7 +145,7 @@ pub fn ros_name(topic: &str) -> String {
     }
 }
 
-/// Returns the topics of a configuration. If the type of speeds is open, it follows the subscribers.
+/// Returns the topics of a configuration. If the type of speeds is open, the subscribers determine it.
 pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
         let name = config.resolve(name);
@@ -217,7 +217,7 @@ pub struct Finding {
     pub advice: Vec<String>,
 }
 
-/// Looks at one topic.
+/// Examines one topic and returns the result.
 pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
     let (others, role) =
         if ours.written { (&graph.readers, "reader") } else { (&graph.writers, "publisher") };
@@ -311,7 +311,7 @@ fn whose(end: &Endpoint) -> String {
 /// A harmless request and its answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Probe {
-    /// No server is known, or there are several.
+    /// No server is known, or there are several of them.
     #[default]
     NotSent,
     /// Not answered yet.
@@ -331,7 +331,7 @@ pub struct Heard {
     pub clocks: u64,
     /// The difference between the robot's clock and its reference.
     pub difference: Option<Difference>,
-    /// The reason why nothing would be armed.
+    /// The reason why the bridge would not be armed.
     pub refusal: Option<String>,
     /// The result of asking the arm's server to cancel a goal that does not exist.
     pub probe: Probe,
@@ -383,7 +383,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
                  datagrams from it arrive here (firewall, another network)?",
                 server.vendor
             )),
-            // There are two servers, which is reported elsewhere, or the server appeared at the very end.
+            // There are two servers, which another line reports, or the server appeared at the very end.
             Probe::NotSent => {}
         }
         if let Some(rmw) = environment.rmw.as_deref()
@@ -469,7 +469,7 @@ pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
     advice
 }
 
-/// The same where a Zenoh router was reached.
+/// Gives the same advice for a graph with a Zenoh router.
 pub fn nobody_on_zenoh(connection: &Connection) -> Vec<String> {
     vec![
         format!(
@@ -526,7 +526,7 @@ mod tests {
     fn twist_against_twist_stamped_is_named_with_the_option_that_helps() {
         let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST)]);
         assert_eq!((found.lines[0].contains("Twist, reliable]: 1 reader"), found.advice.len()), (true, 0));
-        // There are two types at once: one of them is ignored, and reported.
+        // There are two types at once, so one of them is ignored and reported.
         let both = vec![reader("rt/cmd_vel", wire::TWIST), reader("rt/cmd_vel", wire::TWIST_STAMPED)];
         let found = cmd_vel(|_| {}, both);
         assert!(found.lines[0].contains("TwistStamped, reliable]: 1 reader"), "{:?}", found.lines);

@@ -11,7 +11,7 @@ const NAMES_MAX: usize = 256;
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Angles {
-    /// One to eight; joints that the arm does not have stay at zero.
+    /// One to eight joints; values of joints that the arm does not have stay at zero.
     names: Vec<String>,
     max_age_ms: u64,
     /// Of each of them.
@@ -35,12 +35,12 @@ impl Angles {
         }
     }
 
-    /// The arm's joints, as the robot names them.
+    /// The arm's joints, with the names that the robot uses.
     pub fn names(&self) -> &[String] {
         &self.names
     }
 
-    /// Reads angles, except those of other joints and NaN. Returns whether the message contained joints of the arm.
+    /// Reads angles, except NaN and those of other joints. Returns whether the message contained joints of the arm.
     pub fn see(&mut self, state: &JointState, now_ms: u64, doubts: &mut Doubts) -> bool {
         let mut about_arm = false;
         // No arm has this many joints, so the rest of a longer message is ignored.

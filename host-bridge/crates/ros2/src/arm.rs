@@ -1,11 +1,11 @@
 //! An arm with a `joint_trajectory_controller`: its commands and their results.
 //!
-//! There are three interfaces: a stream of short pieces ([`crate::stream`]), an action goal, and a single message.
-//! The arm stops after the death of this program only if the stream is used.
+//! There are three interfaces: a stream of short pieces ([`crate::stream`]), an action goal, or a single message.
+//! Only with the stream does the arm stop after the death of this program.
 //!
 //! This module is sans-IO. A trajectory starts at the angles that the robot reports, and is sent as a whole.
-//! A motion runs until the controller (action), or the angles and the time (topic), show its end.
-//! A stop cancels it, and also any goal that is accepted later.
+//! A motion runs until the controller (action), or the angles and the time (topic), indicate its end.
+//! A stop cancels the motion, and also any goal that is accepted later.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use super::stream::{self, Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, Header, JointState};
 
-/// Maximum distance at which the goal counts as reached, if its end is not reported.
+/// Maximum distance at which the goal counts as reached if its end is not reported.
 const REACHED_RAD: f64 = 0.05;
 /// Maximum distance between the arm and its expected positions within the last [`FOLLOW_STEPS`] times 20 ms.
 /// The arm is stopped if this distance is exceeded.
@@ -42,11 +42,11 @@ struct Run {
     goal: u32,
     trajectory: Arc<Trajectory>,
     asked_ms: u64,
-    /// Time at which it began to move; `None` without an answer.
+    /// Time at which the motion began; `None` without an answer.
     moving_since_ms: Option<u64>,
     /// Elapsed time as reported by the controller.
     elapsed_s: Option<f64>,
-    /// Sent in pieces.
+    /// The motion is sent in pieces.
     stream: Option<Stream>,
     /// The time at which the motion was abandoned.
     stopping_since_ms: Option<u64>,
@@ -110,12 +110,12 @@ impl ArmLink {
         }
     }
 
-    /// How motions are sent.
+    /// Returns the interface by which motions are sent.
     pub fn interface(&self) -> ArmInterface {
         self.interface
     }
 
-    /// Reads angles, except those of other joints and NaN.
+    /// Reads angles, except NaN and those of other joints.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         self.see_from("", state, now_ms);
     }
@@ -167,7 +167,7 @@ impl ArmLink {
         self.reading(now_ms).map(|reading| reading.value)
     }
 
-    /// Returns the same with the age of the oldest value.
+    /// Returns all joints as above, with the age of the oldest value.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         self.angles.reading(now_ms)
     }
@@ -238,10 +238,10 @@ impl ArmLink {
         Ok(())
     }
 
-    /// How far ahead a motion under way can be continued otherwise.
+    /// Returns how far ahead of now a running motion can be changed.
     ///
     /// # Errors
-    /// Whole goals cannot: they would go on after this program's death.
+    /// This is not possible for whole goals, which would continue after this program's death.
     pub fn ahead_ms(&self) -> Result<u64, String> {
         match self.interface {
             ArmInterface::Stream => Ok(stream::AHEAD_MS),
@@ -250,10 +250,10 @@ impl ArmLink {
         }
     }
 
-    /// Continues the motion under way otherwise, from `from_s` of its own time on.
+    /// Changes the running motion, starting at `from_s` of its own time.
     ///
     /// # Errors
-    /// There is none, it is abandoned, or the piece would come too late; the arm goes on as before.
+    /// No motion runs, it was abandoned, or the piece would come too late. The arm then continues as before.
     pub fn follow_on(
         &mut self,
         trajectory: Arc<Trajectory>,
@@ -271,7 +271,7 @@ impl ArmLink {
             .go_on([run, &trajectory], from_s, &self.limits, now_ms, robot_ns)
             .map_err(|Late| "the next piece would come too late".to_owned())?;
         *run = trajectory;
-        // Of two pieces in one turn the last one counts.
+        // Of two pieces in one turn, the last one counts.
         outputs.retain(|output| !matches!(output, Output::Trajectory(_)));
         outputs.push(Output::Trajectory(stream.message(self.angles.names(), points)));
         Ok(())
@@ -346,7 +346,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // With two servers or a forged answer, it may be running although it was reported as finished.
+            // With two servers or a forged answer, the motion may be running although it was reported as finished.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);

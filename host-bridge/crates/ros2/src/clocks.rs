@@ -1,33 +1,33 @@
 //! Compares the robot's clock with this machine's clock, and determines the stamps of commands.
 //!
-//! A received stamp was set shortly before, so `stamp - local time` is the clock difference minus the transmission
-//! time.
-//! The largest value of the last seconds is the most accurate one.
-//! A robot that stamps its states late looks like one whose clock is behind,
-//! and is equally unsuitable for stamped commands.
+//! A received stamp was set shortly before arrival.
+//! `stamp - local time` is therefore the clock difference minus the transmission time.
+//! The largest such value of the last seconds is the most accurate one.
+//! A robot that stamps its states late looks like one whose clock is behind.
+//! Both robots are unsuitable for stamped commands.
 //!
-//! If `/clock` is published, it is the graph's time (`use_sim_time`), and all stamps are compared with it.
+//! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-/// Maximum difference for arming, in seconds.
+/// Maximum clock difference at which the robot may be armed, in seconds.
 pub const DIFFERENCE_MAX_S: f64 = 0.1;
-/// Stamps within this time are compared.
+/// Stamps that arrived within this time are compared.
 const WINDOW_MS: u64 = 2000;
 /// A simulation's clock that is silent for this long has stopped or disappeared.
 const SIMULATED_SILENCE_MS: u64 = 1000;
 /// Minimum number of stamps for reporting a difference.
 const STAMPS_MIN: usize = 3;
-/// More are not kept.
+/// Maximum number of stamps that are kept.
 const STAMPS_MAX: usize = 1024;
 
 /// The kinds of stamps for the base's speed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stamp {
-    /// Zero, which Jazzy's diff_drive_controller replaces by the time of arrival.
+    /// Zero, which Jazzy's diff_drive_controller replaces with the time of arrival.
     /// The controller's timeout therefore works with any clocks.
     #[default]
     Zero,
@@ -37,7 +37,7 @@ pub enum Stamp {
     Wall,
 }
 
-/// Where a stamp comes from.
+/// The origin of a stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
     /// `/joint_states`.
@@ -90,7 +90,7 @@ impl Clocks {
         heard.push_back((now_ms, difference));
     }
 
-    /// Returns the graph's time, if its clocks agree: `/clock`, otherwise this machine's.
+    /// Returns the graph's time if the clocks agree: `/clock`, or otherwise this machine's time.
     fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
@@ -113,7 +113,7 @@ impl Clocks {
         Some(Difference { seconds: worst, is_simulated: self.simulated.is_some() })
     }
 
-    /// Returns why nothing may be armed, or `None` if the clocks agree or the robot sends no stamps.
+    /// Returns why the robot may not be armed, or `None` if the clocks agree or the robot sends no stamps.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if let Some((at_ms, _)) = self.simulated
             && now_ms.saturating_sub(at_ms) > SIMULATED_SILENCE_MS
@@ -126,7 +126,7 @@ impl Clocks {
         (difference.seconds.abs() > DIFFERENCE_MAX_S).then(|| advice(difference))
     }
 
-    /// Like [`Self::refusal`], for speeds with these stamps.
+    /// Like [`Self::refusal`], but for speeds with stamps of this kind.
     pub fn refusal_of(&self, stamp: Stamp, now_ms: u64) -> Option<String> {
         if self.simulated.is_some() && stamp == Stamp::Wall {
             return Some(
@@ -248,7 +248,7 @@ mod tests {
         assert!(clocks.refusal(3000).unwrap().contains("stands still"));
     }
 
-    /// A base with diff_drive_controller: a zero stamp is replaced by the time of arrival.
+    /// A base with diff_drive_controller, which replaces a zero stamp with the time of arrival.
     /// The controller brakes if a command is more than 0.5 s old by the controller's clock.
     #[test]
     fn with_any_clocks_the_base_stops_soon_after_the_last_command_or_nothing_arms() {

@@ -1,4 +1,4 @@
-//! The section `[ros2]` of the configuration: names, frames, quality of service, times.
+//! The section `[ros2]` of the configuration: names, frames, quality of service, and times.
 
 use std::net::{IpAddr, Ipv4Addr};
 
@@ -15,7 +15,7 @@ pub enum ArmInterface {
     /// Sends short pieces to the controller's topic, each ending at rest, so that the arm stops if the program dies.
     #[default]
     Stream,
-    /// Complete `FollowJointTrajectory` goals with feedback, cancelled by a stop.
+    /// Complete `FollowJointTrajectory` goals with feedback, which a stop cancels.
     /// **No third stop**: if the program dies, the arm finishes its goal.
     Action,
     /// Complete `JointTrajectory` messages; a stop sends a braking trajectory. **No third stop** either.
@@ -24,14 +24,14 @@ pub enum ArmInterface {
     None,
 }
 
-/// What carries the node.
+/// The middleware that carries the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Carrier {
-    /// DDS, as rmw_fastrtps and rmw_cyclonedds.
+    /// DDS, compatible with rmw_fastrtps and rmw_cyclonedds.
     #[default]
     Dds,
-    /// Zenoh, as rmw_zenoh (feature `zenoh`).
+    /// Zenoh, compatible with rmw_zenoh (feature `zenoh`).
     Zenoh,
 }
 
@@ -66,7 +66,7 @@ impl Stamped {
     }
 }
 
-/// ros2_kortex's arm has joint_1 to joint_7.
+/// The arm of ros2_kortex has joint_1 to joint_7.
 const GEN3_JOINTS: usize = 7;
 
 /// See the module.
@@ -75,7 +75,7 @@ const GEN3_JOINTS: usize = 7;
 pub struct Ros2Config {
     /// Name of the node.
     pub node: String,
-    /// Namespace of this operator and robot, such as `/cell1`; empty means none.
+    /// Namespace of this operator and robot, such as `/cell1`; empty if there is none.
     pub namespace: String,
     /// DDS domain, 0 to 232; -1 means `ROS_DOMAIN_ID`, or 0.
     pub domain_id: i32,
@@ -83,15 +83,15 @@ pub struct Ros2Config {
     pub transport: Carrier,
     /// Zenoh's routers, such as `tcp/localhost:7447`.
     pub zenoh_connect: Vec<String>,
-    /// Zenoh's own configuration file, which goes before `zenoh_connect`; empty = `ZENOH_SESSION_CONFIG_URI`, or none.
+    /// Zenoh's own configuration file, which overrides `zenoh_connect`; empty: `ZENOH_SESSION_CONFIG_URI`, or none.
     pub zenoh_config: String,
-    /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
-    /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
+    /// Addresses of the network interfaces to use; empty means all, unless an environment variable restricts them:
+    /// `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]`.
     pub interfaces: Vec<IpAddr>,
-    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`,
-    /// which follows the subscriber.
+    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`.
+    /// The value `"auto"` follows the subscriber.
     pub stamped: Stamped,
-    /// What stamps speeds get.
+    /// The stamps that speeds get.
     pub stamp: Stamp,
     /// Topic of the base's speed. Names without a leading slash are relative to the namespace.
     pub cmd_vel: String,
@@ -109,16 +109,16 @@ pub struct Ros2Config {
     pub arm: ArmInterface,
     /// The arm's controller.
     pub arm_controller: String,
-    /// The arm's joints from its foot on, as the robot names them: one to eight.
+    /// The arm's joints in order from its foot, with the names that the robot uses: one to eight.
     pub joint_names: Vec<String>,
-    /// Where the arm's angles are read (or, with `--publish-sim`, written).
+    /// Topic on which the arm's angles are read (or, with `--publish-sim`, written).
     pub joint_states: String,
     /// Maximum age of angles for planning.
     pub joint_states_max_age_ms: u64,
     /// Time after which a goal without an answer is abandoned and cancelled.
     pub answer_ms: u64,
     /// The gripper's action, such as `gripper_controller/gripper_cmd` (GripperCommand or ParallelGripperCommand).
-    /// `"auto"` selects the only one whose name ends in `gripper_cmd`; empty means none.
+    /// `"auto"` selects the only action whose name ends in `gripper_cmd`; empty means none.
     pub gripper: String,
     /// Name of the gripper's joint in the joint states; empty if it is not reported.
     pub gripper_joint: String,
@@ -131,8 +131,8 @@ pub struct Ros2Config {
     /// A gripper without a report for this long has failed.
     pub gripper_timeout_ms: u64,
     /// Topic of an external e-stop (`std_msgs/Bool`), preferably latched.
-    /// True stops base and arm, like a lock of twist_mux.
-    /// A missing publisher also stops them. Empty means none.
+    /// The value true stops base and arm, like a lock of twist_mux.
+    /// A missing publisher also stops them. An empty name means that there is no e-stop.
     pub estop: String,
     /// Duration of silence of an e-stop that counts as a stop; 0 means that its last message remains valid.
     pub estop_timeout_ms: u64,
@@ -142,10 +142,10 @@ pub struct Ros2Config {
     pub fault_timeout_ms: u64,
     /// Topic that reports this program's stop (true = stopped), in the form of twist_mux's locks.
     pub stopped: String,
-    /// Topic of the base's odometry, whose stamps are compared with this machine's clock.
-    /// With `--publish-sim`, the simulator's.
+    /// Topic of the base's odometry. Its stamps are compared with this machine's clock.
+    /// With `--publish-sim`, the simulator publishes its odometry on this topic.
     pub odom: String,
-    /// Transforms of the simulator, with `--publish-sim`.
+    /// Transforms of the simulator, if `--publish-sim` is given.
     pub tf: String,
     /// Gestures and states of the hands.
     pub diagnostics: String,
@@ -244,12 +244,12 @@ impl RosEnvironment {
     }
 }
 
-/// Where and how to connect, decided.
+/// The way to connect, after all settings were combined.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Connection {
     /// DDS domain.
     pub domain_id: u16,
-    /// Who said so.
+    /// The origin of this setting.
     pub domain_from: &'static str,
     /// Addresses of the interfaces; empty means all.
     pub interfaces: Vec<IpAddr>,
@@ -268,7 +268,7 @@ impl Connection {
 const DOMAIN_MAX: i32 = 232;
 
 impl Ros2Config {
-    /// Are all values sound?
+    /// Checks whether all values are valid.
     ///
     /// # Errors
     /// The invalid value, and the valid ones.
@@ -399,7 +399,7 @@ impl Ros2Config {
         }
         let file = Some(&self.zenoh_config).filter(|file| !file.is_empty());
         let zenoh_config = file.or(environment.zenoh_config.as_ref()).cloned();
-        // `check` and the match above keep it within 0 to 232.
+        // `check` and the match above keep the value within 0 to 232.
         let domain_id = u16::try_from(domain).unwrap_or(0);
         Ok(Connection { domain_id, domain_from, interfaces, zenoh_config })
     }

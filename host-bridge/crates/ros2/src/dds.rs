@@ -1,4 +1,4 @@
-//! DDS as the node's carrier.
+//! DDS as the node's middleware.
 
 use super::action::active;
 use super::advice::{Graph, Probe};
@@ -20,7 +20,7 @@ impl Transport for Joined {
     }
 
     fn take(&mut self, came: &mut dyn FnMut(Came)) {
-        // What cannot be read is dropped.
+        // Data that cannot be read is dropped.
         while let Ok(Some((clock, _))) = self.clock.take() {
             came(Came::Clock(clock));
         }
@@ -152,7 +152,7 @@ impl Transport for Joined {
 
 impl Voice for Published {
     fn diagnose(&mut self, message: ros::DiagnosticArray) {
-        // A message that cannot be handed over is late by the next one.
+        // A message that cannot be sent is replaced by the next one.
         let _ = self.diagnostics.publish(message);
     }
 

@@ -1,8 +1,8 @@
 //! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
-//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks,
-//! so anyone who can reach this machine can send to them.
-//! On Linux, a socket can be bound to a device later. On other systems this is not possible, and it is reported.
+//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks.
+//! Anyone who can reach this machine can therefore send data to them.
+//! On Linux, a socket can be bound to a device later. Other systems do not permit this, which is reported.
 
 #[cfg(target_os = "linux")]
 pub use linux::{sockets, tie_to_loopback};

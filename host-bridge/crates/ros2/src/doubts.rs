@@ -1,6 +1,5 @@
-//! Reasons against moving the arm: two writers of its angles, impossible angles, another program's goal,
-//! a scaled speed.
-//! This module is sans-IO. Each reason is reported, and while it holds, no motion starts and a running one is stopped.
+//! Reasons against moving the arm: two writers of its angles, impossible angles, foreign goals, and a scaled speed.
+//! This module is sans-IO. Each reason is reported. While it applies, no motion starts, and a running one is stopped.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -10,7 +9,7 @@ use host_robot::{JOINTS, Joints};
 
 /// Time within which several writers of the arm's angles count.
 const TELLERS_MS: u64 = 1000;
-/// More are not distinguished.
+/// Maximum number of writers that are distinguished.
 const TELLERS_MAX: usize = 8;
 /// Time for which impossible angles are remembered.
 const MEMORY_MS: u64 = 2000;
@@ -51,7 +50,7 @@ impl Doubts {
         }
     }
 
-    /// Returns whether a joint can have moved here in `passed_ms`. If not, this is stored.
+    /// Returns whether a joint can have moved to this angle within `passed_ms`. An impossible angle is stored.
     pub fn judge(&mut self, name: &str, rad: f64, before: Option<(f64, u64)>, now_ms: u64) {
         let what = if rad.abs() > TURNS_MAX * TAU {
             format!("{name} is told to be at {rad:.0} rad: no joint turns that often")
@@ -75,7 +74,7 @@ impl Doubts {
     pub fn controller(&mut self, reference: Option<(Joints, Joints)>, scaling: Option<f64>, now_ms: u64) {
         if let Some(scaling) = scaling {
             self.is_scaled |= scaling != 0.0;
-            // This also covers NaN.
+            // The comparison also covers NaN.
             let is_one = (scaling - 1.0).abs() <= SCALING_OFF;
             let off = self.is_scaled && !is_one;
             self.scaling = off.then_some((scaling, now_ms));
@@ -88,7 +87,7 @@ impl Doubts {
     pub fn held(&self, here: &Joints, now_ms: u64) -> Option<Joints> {
         let (held, at_ms) = self.held?;
         let near = off_rad(&held, here) <= HELD_MAX_RAD && now_ms.saturating_sub(at_ms) <= STATE_MS;
-        // In the turn in which the joint is reported.
+        // The controller's state counts only in the turn in which it is reported.
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 
@@ -136,7 +135,7 @@ fn shortest(rad: f64) -> f64 {
     turned(rad).abs()
 }
 
-/// Joints by name as the arm has them; `None` if one is missing or NaN.
+/// Returns the values by name in the arm's order, or `None` if one is missing or NaN.
 pub fn in_order(names: &[String], told: &[String], values: &[f64]) -> Option<Joints> {
     let mut joints = [0.0; JOINTS];
     for (joint, name) in joints.iter_mut().zip(names) {
@@ -182,7 +181,7 @@ mod tests {
     #[test]
     fn a_foreign_goal_and_a_scaled_speed_are_named() {
         let mut doubts = Doubts::default();
-        // Releases without this field leave zero.
+        // Releases without this field leave it at zero.
         doubts.controller(None, Some(0.0), 0);
         doubts.controller(None, Some(1.0), 10);
         assert_eq!(doubts.problem(true, 10), None);

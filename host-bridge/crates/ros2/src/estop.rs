@@ -1,8 +1,7 @@
 //! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
-//! Each is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
-//! It also stops them while it has no publisher, before its first message,
-//! or (with a timeout) after too long a silence.
+//! Each flag is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
+//! A flag that has no publisher, has sent no message yet, or (with a timeout) is silent for too long stops them, too.
 //! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,9 +23,9 @@ struct Word {
 struct Input {
     /// For people.
     what: &'static str,
-    /// Its key in `[ros2]`.
+    /// The key of the flag in `[ros2]`.
     key: &'static str,
-    /// With its namespace.
+    /// The topic with its namespace.
     topic: String,
     timeout_ms: u64,
     writers: BTreeSet<String>,
@@ -62,11 +61,11 @@ impl Inputs {
         self.inputs.iter().map(|input| input.topic.as_str())
     }
 
-    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer does.
+    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer requires it.
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
-            // A publisher that has disappeared cannot revoke its message, so the next existing one does.
+            // A publisher that has disappeared cannot revoke its message, so the next existing publisher revokes it.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }
@@ -90,7 +89,7 @@ impl Inputs {
         }
     }
 
-    /// Returns why nothing may move, or `None` if no flag forbids it.
+    /// Returns the reason why the robot must not move, or `None` if no flag forbids it.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         self.inputs.iter().find_map(|input| input.refusal(now_ms))
     }

@@ -1,5 +1,5 @@
 //! The arm's action on the graph.
-//! Requests depend on the vendor of its server, which is known once the server is discovered.
+//! Requests depend on the vendor of the action's server, which is known once the server is discovered.
 
 use ros2_client::action::ActionClient;
 use ros2_client::action_msgs::GoalStatusEnum;
@@ -35,7 +35,7 @@ impl Follow {
         Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
     }
 
-    /// Looks for the action's server. Returns whether goals may be sent, and what a person should know.
+    /// Looks for the action's server. Returns whether goals may be sent, and a message for the user.
     ///
     /// # Errors
     /// Fails if the client cannot be created.
@@ -54,7 +54,7 @@ impl Follow {
         Ok(servers.len() == 1)
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool {
         let Some((_, client)) = &self.client else { return false };
         self.goals.send(client, ours, ros::FollowGoal { trajectory, ..ros::FollowGoal::default() })
@@ -101,7 +101,7 @@ impl Follow {
     }
 }
 
-/// What the arm's server said.
+/// An answer of the arm's server.
 pub fn answers(said: Vec<(u32, Said<ros::FollowResult, ros::FollowFeedback>)>) -> Vec<(u32, Answer)> {
     said.into_iter().map(|(ours, said)| (ours, answer(said))).collect()
 }
@@ -119,13 +119,13 @@ fn answer(said: Said<ros::FollowResult, ros::FollowFeedback>) -> Answer {
     }
 }
 
-/// The servers of the arm's action below this controller: readers of its requests.
+/// Returns the servers of the arm's action below this controller, which are the readers of its requests.
 pub fn servers<'a>(graph: &'a Graph, controller: &str) -> Vec<&'a Endpoint> {
     let topic = wire::send_goal(controller);
     graph.readers.iter().filter(|r| r.topic == topic && r.type_name == wire::SEND_GOAL).collect()
 }
 
-/// A list of servers for people: `Fast DDS (010f...)`.
+/// Lists servers in a form for users: `Fast DDS (010f...)`.
 pub fn named(servers: &[&Endpoint]) -> String {
     let names: Vec<String> = servers.iter().map(|s| format!("{} ({})", s.vendor, s.participant)).collect();
     names.join(", ")

@@ -14,12 +14,12 @@ use host_topics::message as ros;
 
 /// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
-/// The reason of a robot whose gripper is not driven.
+/// The reason given for a robot whose gripper is not configured.
 pub const NO_GRIPPER: &str = "this robot's gripper is not driven";
-/// The end of its server's topic for requests.
+/// The last part of the topic on which the gripper's server reads requests.
 const REQUEST: &str = "/_action/send_goalRequest";
 
-/// The kinds of action, and the type of their requests.
+/// The kinds of action, with the type of their requests.
 pub const KINDS: [(&str, &str); 2] = [
     ("GripperCommand", "control_msgs::action::dds_::GripperCommand_SendGoal_Request_"),
     ("ParallelGripperCommand", "control_msgs::action::dds_::ParallelGripperCommand_SendGoal_Request_"),
@@ -33,25 +33,25 @@ enum Client {
     Parallel(Box<Parallel>),
 }
 
-/// Which server is meant.
+/// The configured choice of the server.
 pub struct Meant {
-    /// The action's name; empty = whichever there is below the namespace.
+    /// The action's name; empty means the only one below the namespace.
     name: String,
     namespace: String,
 }
 
-/// The server that is meant.
+/// The server that was chosen.
 pub struct Found {
     /// The action's name.
     pub name: String,
-    /// Its place in [`KINDS`].
+    /// Its index in [`KINDS`].
     pub kind: usize,
-    /// Whose middleware it runs on.
+    /// The vendor of the server's middleware.
     pub vendor: Vendor,
 }
 
 impl Meant {
-    /// As configured; `None` = no gripper is driven.
+    /// The choice as configured; `None` means that no gripper is used.
     pub fn new(config: &Ros2Config) -> Option<Self> {
         let name = match config.gripper.as_str() {
             "" => return None,
@@ -68,7 +68,7 @@ impl Meant {
         controller.is_some_and(|controller| !controller.is_empty() && !controller.contains('/'))
     }
 
-    /// The servers that could be meant, with their names and kinds.
+    /// Returns the possible servers with their names and kinds.
     fn servers<'a>(&self, graph: &'a Graph) -> Vec<(String, usize, &'a Endpoint)> {
         let server = |reader: &'a Endpoint| {
             let kind = KINDS.iter().position(|(_, request)| reader.type_name == *request)?;
@@ -82,7 +82,7 @@ impl Meant {
     /// The only one.
     ///
     /// # Errors
-    /// There is none, or more than one.
+    /// There is no server, or more than one.
     pub fn only(&self, graph: &Graph) -> Result<Found, String> {
         let servers = self.servers(graph);
         match servers.as_slice() {
@@ -99,25 +99,25 @@ impl Meant {
     }
 }
 
-/// Which gripper is asked, for people.
+/// Describes the chosen gripper for users.
 pub fn about(name: &str, kind: usize) -> String {
     format!("the gripper is {name} ({})", KINDS[kind].0)
 }
 
-/// Why a server that does something else is not asked.
+/// Explains why a server with a different action is not used.
 pub fn at_work(name: &str) -> String {
     format!("{name} is at a goal of another program")
 }
 
-/// Why a server that was not there before is not asked at once.
+/// Explains why a newly discovered server is not used at once.
 pub const JUST_FOUND: &str = "its server has just been found";
 
-/// A goal of `GripperCommand`.
+/// Creates a goal of `GripperCommand`.
 pub fn command(position: f64, effort: Option<f64>) -> ros::GripGoal {
     ros::GripGoal { command: ros::GripperCommand { position, max_effort: effort.unwrap_or(0.0) } }
 }
 
-/// A goal of `ParallelGripperCommand`; a joint without a name is the gripper's only one.
+/// Creates a goal of `ParallelGripperCommand`; a joint without a name is the gripper's only one.
 pub fn parallel(joint: &str, position: f64, effort: Option<f64>) -> ros::ParallelGoal {
     let named = Some(joint.to_owned()).filter(|joint| !joint.is_empty());
     ros::ParallelGoal {
@@ -135,13 +135,13 @@ pub struct Gripper {
     meant: Meant,
     joint: String,
     qos: QosProfile,
-    /// Name, kind and vendor of the server that it is for.
+    /// Name and kind of the action, and the vendor of its server.
     client: Option<((String, usize, Wrapping), Client)>,
     goals: Goals,
 }
 
 impl Gripper {
-    /// The gripper of a configuration, if it has one; no server is known yet.
+    /// Creates the gripper of a configuration, if it has one. No server is known yet.
     pub fn new(config: &Ros2Config, qos: QosProfile) -> Option<Self> {
         Some(Gripper {
             meant: Meant::new(config)?,
@@ -152,13 +152,13 @@ impl Gripper {
         })
     }
 
-    /// Which server is asked, for people.
+    /// Describes the chosen server for users.
     pub fn about(&self) -> Option<String> {
         let ((name, kind, _), _) = self.client.as_ref()?;
         Some(about(name, *kind))
     }
 
-    /// Looks for the action's server. Returns why none can be used; `None` = one can.
+    /// Looks for the action's server. Returns why none can be used, or `None` if one can be used.
     ///
     /// # Errors
     /// Fails if the client cannot be created.
@@ -190,7 +190,7 @@ impl Gripper {
         })
     }
 
-    /// Sends a goal. Returns whether it was accepted for sending.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,
@@ -220,7 +220,7 @@ impl Gripper {
     }
 }
 
-/// What a server of `GripperCommand` said.
+/// Converts an answer of a `GripperCommand` server.
 pub fn command_answers(said: Vec<(u32, Said<ros::GripResult, ros::GripResult>)>) -> Vec<(u32, GripAnswer)> {
     answers(
         said,
@@ -229,7 +229,7 @@ pub fn command_answers(said: Vec<(u32, Said<ros::GripResult, ros::GripResult>)>)
     )
 }
 
-/// What a server of `ParallelGripperCommand` said.
+/// Converts an answer of a `ParallelGripperCommand` server.
 pub fn parallel_answers(
     said: Vec<(u32, Said<ros::ParallelResult, ros::ParallelFeedback>)>,
 ) -> Vec<(u32, GripAnswer)> {
@@ -241,7 +241,7 @@ pub fn parallel_answers(
     )
 }
 
-/// What was said by a server of either kind.
+/// Converts an answer of a server of either kind.
 fn answers<R, F>(
     said: Vec<(u32, Said<R, F>)>,
     result_of: impl Fn(&R) -> (f64, bool, bool),

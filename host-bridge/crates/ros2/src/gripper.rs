@@ -2,7 +2,7 @@
 //!
 //! This module is sans-IO. A stall while closing means an object between the fingers, which is success.
 //! A server without a report for too long has failed.
-//! A stop cancels the goal repeatedly until its end is known, and never sends another goal.
+//! A stop requests the goal's cancellation repeatedly until its end is known, and sends no other goal.
 //! Goals that were rejected or reported as finished are cancelled again by each stop, like those of the arm.
 
 use host_robot::{Grip, GripEnd, Reading};
@@ -12,7 +12,7 @@ use super::config::Ros2Config;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
-/// Maximum wait for the confirmation of a cancellation. The requests for it continue afterwards.
+/// Maximum wait for the confirmation of a cancellation. The requests continue afterwards.
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// Maximum duration of a gripper's goal.
 const STRAY_MS: u64 = 60_000;
@@ -38,7 +38,7 @@ pub enum GripAnswer {
         stalled: bool,
         /// Whether the requested position was reached.
         reached: bool,
-        /// The status in the server's terms.
+        /// The status in the server's own terms.
         status: String,
     },
 }
@@ -123,7 +123,7 @@ impl GripperLink {
     pub fn opening_m(&self, now_ms: u64) -> Option<Reading<f64>> {
         let (value, at_ms) = self.seen?;
         let age_ms = now_ms.saturating_sub(at_ms);
-        // If its joint is not reported regularly, the last result remains valid.
+        // If the gripper's joint is not reported regularly, the last result remains valid.
         (self.joint.is_empty() || age_ms <= TOLD_MS).then_some(Reading { value, age_ms })
     }
 
@@ -182,12 +182,12 @@ impl GripperLink {
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                // This includes a goal that was rejected or finished earlier, which must not run now.
+                // This case includes a goal that was rejected or finished earlier, which must not run now.
                 GripAnswer::Accepted => {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                // With two servers, another one may execute it.
+                // With two servers, the other one may execute the goal.
                 GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
@@ -473,7 +473,7 @@ mod tests {
         assert!(rig.gripper.take_notes()[0].contains("two controllers"));
         rig.outputs.clear();
         assert_eq!(rig.run(400), vec![Output::CancelGrip { goal: 1 }; 2]);
-        // The first server reports that it has stopped, so the next stop cancels the other's goal.
+        // The first server reports that it has stopped, so the next stop cancels the other server's goal.
         assert_eq!(rig.done(1, 0.3, false), Some(GripEnd::Halted));
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);

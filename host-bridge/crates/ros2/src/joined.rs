@@ -1,4 +1,4 @@
-//! The node on DDS: its participant, what it publishes and reads, and whom it sees.
+//! The node on DDS: its participant, its publications and subscriptions, and the other participants.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -24,7 +24,7 @@ use super::vendor::Vendor;
 use super::watch::Watch;
 use host_topics::message as ros;
 
-/// How the base's speed is published.
+/// The publisher of the base's speed.
 pub enum Speed {
     /// `geometry_msgs/Twist`.
     Plain(Publisher<ros::Twist>),
@@ -48,7 +48,7 @@ pub struct Published {
     pub diagnostics: Publisher<ros::DiagnosticArray>,
     /// Whether the operator has stopped this program.
     pub stopped: Publisher<ros::Bool>,
-    /// The simulator's state, if requested and not published by another node.
+    /// The simulator's state, if it was requested and no other node publishes it.
     pub sim: Option<SimTopics>,
 }
 
@@ -58,9 +58,9 @@ pub struct SimTopics {
     pub joint_states: Publisher<ros::JointState>,
     /// Where the base is.
     pub odom: Publisher<ros::Odometry>,
-    /// The base's position as a transform, and the arm's links.
+    /// The base's position as a transform, and the transforms of the arm's links.
     pub tf: Publisher<ros::TfMessage>,
-    /// The robot description, also for late subscribers.
+    /// The robot description, which late subscribers also receive.
     pub description: Option<Publisher<ros::Text>>,
     /// That was published.
     pub is_described: bool,
@@ -78,13 +78,13 @@ pub struct Joined {
     pub joint_states: Option<Subscription<ros::JointState>>,
     /// The base's odometry, whose stamps show the robot's clock.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// The arm controller's set point and state; silent while it is inactive.
+    /// The arm controller's set point and state; silent while the controller is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
     /// The status of the goals on the arm's action server, if we have no client for it.
     pub goals: Option<Subscription<GoalStatusArray>>,
     /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
-    /// A simulation's time.
+    /// The time of a simulation.
     pub clock: Subscription<ros::Clock>,
     participants: BTreeMap<String, Participant>,
     speed_qos: QosProfile,
@@ -140,7 +140,7 @@ fn listening(depth: usize) -> QosProfile {
     QosProfile::subscription_default().history(History::KeepLast { depth })
 }
 
-/// A node that publishes and reads nothing yet.
+/// Creates a node that does not publish or read anything yet.
 pub(super) fn bare(config: &Ros2Config, connection: &Connection) -> Result<(Context, Node), NodeError> {
     let context = join(connection)?;
     let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
@@ -154,7 +154,7 @@ impl Joined {
     /// Joins the graph. With `publish_sim`, it also publishes the simulator's state.
     ///
     /// # Errors
-    /// [`NodeError`]: the domain or a topic is not available.
+    /// Returns [`NodeError`] if the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -219,7 +219,7 @@ impl Joined {
         };
         let (states, odom) = (config.resolve(&config.joint_states), config.resolve(&config.odom));
         let clock = subscription(&mut node, "/clock", ("rosgraph_msgs", "Clock"), 1)?;
-        // Our own messages are not read.
+        // Messages from this program itself are not read.
         let (joint_states, odom_read, sim) = if publish_sim {
             let description = config.resolve(&config.robot_description);
             let description = (!config.robot_description.is_empty())
@@ -259,21 +259,21 @@ impl Joined {
         Ok((joined, Published { diagnostics, stopped, sim }))
     }
 
-    /// Our own participant, named as [`Joined::look_around`] names others.
+    /// Returns our own participant, named as [`Joined::look_around`] names others.
     pub fn own_name(&self) -> String {
         name_of(&self.participant.guid().to_bytes())
     }
 
-    /// Publishes speeds as the other type from now on.
+    /// Publishes speeds with the other type from now on.
     ///
     /// # Errors
-    /// [`NodeError`]: the topic cannot be had.
+    /// Returns [`NodeError`] if the topic cannot be created.
     pub fn restamp(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
         self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
         Ok(())
     }
 
-    /// Everybody else on the graph.
+    /// Returns all other participants on the graph.
     pub fn look_around(&mut self) -> Graph {
         let own = self.participant.guid().prefix;
         let name = |guid: &GUID| {
@@ -288,7 +288,7 @@ impl Joined {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
-                    // This loses only its description of itself; its end points still reveal it.
+                    // Only the participant's own description is lost; its end points still reveal the participant.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });
@@ -352,7 +352,7 @@ pub fn name_of(guid: &[u8]) -> String {
     guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// REP-2016's hash of a type, from what its end point says about itself.
+/// Returns REP-2016's hash of a type, from the data that its end point announces.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
     // The data begins with its length in bytes.

@@ -1,5 +1,5 @@
-//! A look at the graph before a robot is driven: the robot's description, and the controllers that follow trajectories.
-//! Nothing is published.
+//! Reads the graph before a robot is driven: the robot's description, and the controllers that follow trajectories.
+//! These functions publish nothing on the graph.
 
 use std::time::{Duration, Instant};
 
@@ -10,10 +10,10 @@ use super::config::{Carrier, Connection, Ros2Config};
 use super::joined::{bare, latched, subscription_with};
 use super::transport::NodeError;
 
-/// The graph is looked at for at least this long: end points are found one after the other.
+/// The graph is read for at least this long, because end points are discovered one after the other.
 const SETTLE: Duration = Duration::from_millis(2500);
 
-/// How the status of a controller's action is named.
+/// The last part of the topic with the status of a controller's action.
 const STATUS: &str = "/follow_joint_trajectory/_action/status";
 
 /// What was found.
@@ -25,10 +25,10 @@ pub struct Found {
     pub controllers: Vec<String>,
 }
 
-/// Looks until a description was heard, and no longer than `wait`.
+/// Reads the graph until a description arrives, but no longer than `wait`.
 ///
 /// # Errors
-/// [`NodeError`]: the domain or the topic cannot be had, or the robot is on Zenoh, whose graph is not looked at here.
+/// Returns [`NodeError`] if the domain or topic is not available, or the robot is on Zenoh, which is not read here.
 pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Result<Found, NodeError> {
     if config.transport == Carrier::Zenoh {
         let why = "a robot's description is read over DDS alone: save it to a file, and name that in the scene's [arm]";
@@ -56,7 +56,7 @@ pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Res
     }
 }
 
-/// The controllers whose actions have these topics.
+/// Returns the controllers whose actions have these topics.
 fn controllers<'a>(topics: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut names: Vec<String> =
         topics.filter_map(|topic| Some(topic.strip_prefix("rt")?.strip_suffix(STATUS)?.to_owned())).collect();

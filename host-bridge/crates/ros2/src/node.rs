@@ -1,7 +1,7 @@
-//! The node on the graph: messages in, messages out. Nothing is decided here.
+//! The node on the graph, which receives and sends messages. It makes no decisions.
 //!
-//! What carries it ([`Transport`]) has threads of its own; everything here returns at once. A node whose threads have
-//! ended is opened anew, on a thread of its own. Needs the feature `ros2`.
+//! Its middleware ([`Transport`]) has its own threads, so all functions here return at once.
+//! If these threads end, a separate thread reopens the node. This module needs the feature `ros2`.
 
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
@@ -22,7 +22,7 @@ const LOOK_INTERVAL_MS: u64 = 250;
 /// Interval for checking the node's threads.
 const WATCH_INTERVAL_MS: u64 = 100;
 
-/// What is published beside the commands: `None` while the node is opened anew.
+/// The publishers of data other than commands; `None` while the node is being reopened.
 pub(super) type Shared = Arc<Mutex<Option<Box<dyn Voice>>>>;
 
 /// See the module.
@@ -30,7 +30,7 @@ pub struct RosNode {
     config: Ros2Config,
     connection: Connection,
     publish_sim: bool,
-    /// `None` while it is opened anew.
+    /// `None` while the node is being reopened.
     joined: Option<Box<dyn Transport>>,
     published: Shared,
     opening: Option<Receiver<Result<Opened, NodeError>>>,
@@ -42,7 +42,7 @@ pub struct RosNode {
     looked_ms: Option<u64>,
     watched_ms: Option<u64>,
     readers: usize,
-    /// The last message about each of these topics, to report it only once.
+    /// The last message about each of these topics, so that it is reported only once.
     said: [Option<String>; 4],
     counts: Counts,
 }
@@ -58,7 +58,7 @@ impl RosNode {
     /// Check [`RosNode::rivals`] before the first [`RosPublisher::publish_sim`].
     ///
     /// # Errors
-    /// [`NodeError`]: the domain or a topic is not available.
+    /// Returns [`NodeError`] if the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -119,7 +119,7 @@ impl RosNode {
         self.clocks.robot_s(wall_s, now_ms)
     }
 
-    /// Returns the reason why nothing may be armed, or `None`.
+    /// Returns the reason why the robot may not be armed, or `None`.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if self.joined.is_none() {
             return Some("the node on the graph is being opened anew".to_owned());
@@ -156,7 +156,7 @@ impl RosNode {
         notes
     }
 
-    /// Takes what the robot says about itself.
+    /// Processes the robot's messages about itself.
     fn hear(&mut self, wall_s: f64, now_ms: u64, mut see: impl FnMut(&Came)) {
         let Some(joined) = &mut self.joined else { return };
         let (heard, clocks, inputs) = (&mut self.heard, &mut self.clocks, &mut self.inputs);
@@ -186,14 +186,14 @@ impl RosNode {
     }
 
     /// Examines the graph without moving a robot: it listens and sends a harmless request to the arm's server.
-    /// Call it often. It returns the results so far.
+    /// Call the function often; it returns the results so far.
     pub fn examine(&mut self, wall_s: f64, now_ms: u64) -> Heard {
         self.hear(wall_s, now_ms, |_| {});
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
             self.looked_ms = Some(now_ms);
             if let Some(joined) = &mut self.joined {
                 let graph = joined.graph();
-                // Why it cannot be asked shows in what is not answered.
+                // If the server cannot be asked, the missing answer shows this.
                 if joined.arm_way() == ArmWay::Action && joined.look_for_server(&graph) == Ok(true) {
                     joined.ask();
                 }
@@ -259,7 +259,7 @@ impl RosNode {
         let dead = (self.joined.take(), lock(&self.published).take());
         let (config, connection, publish_sim) =
             (self.config.clone(), self.connection.clone(), self.publish_sim);
-        // Nothing waits for this, because closing a dead node may take time.
+        // No thread waits for the closing of a dead node, which may take time.
         std::thread::spawn(move || {
             drop(sender.send(transport::open(&config, &connection, publish_sim)));
             drop(dead);
@@ -416,7 +416,7 @@ impl RosNode {
     }
 }
 
-/// Topics of the simulator that somebody else publishes.
+/// Returns topics of the simulator that another node also publishes.
 fn rivals(config: &Ros2Config, graph: &Graph) -> Vec<String> {
     let names = [&config.joint_states, &config.odom, &config.tf].map(|name| config.resolve(name));
     let taken = |name: &String| graph.writers.iter().any(|writer| writer.topic == wire::topic(name));

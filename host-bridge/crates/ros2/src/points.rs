@@ -5,10 +5,10 @@ use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
 /// Maximum time between two points, in addition to the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
-/// Controllers want increasing times.
+/// Controllers require strictly increasing times.
 const LEAST_STEP_S: f64 = 0.001;
 
-/// The message of these points, for the joints that the arm has.
+/// Creates the message with these points, for the joints that the arm has.
 pub fn message(header: Header, names: &[String], mut points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
     for point in &mut points {
         point.positions.truncate(names.len());
@@ -17,7 +17,7 @@ pub fn message(header: Header, names: &[String], mut points: Vec<JointTrajectory
     JointTrajectory { header, joint_names: names.to_vec(), points }
 }
 
-/// A trajectory as points in time: between them cubics through positions and speeds give the same motion.
+/// Converts a trajectory to points in time. Cubics through their positions and speeds give the same motion.
 pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
     let end_s = trajectory.duration_s();
     let mut times_s = trajectory.knots_s();

@@ -42,7 +42,7 @@ impl Simulator {
 pub struct RosPublisher {
     config: Ros2Config,
     published: Shared,
-    /// Where the simulator's state is published.
+    /// The outlet for the simulator's state.
     simulator: Option<Simulator>,
     sim_published_ms: u64,
     /// The last published operator's stop, and its time.
@@ -50,7 +50,7 @@ pub struct RosPublisher {
 }
 
 impl RosPublisher {
-    /// For this node; nothing was said yet.
+    /// Creates a publisher for this node that has not published anything.
     pub(super) fn new(config: &Ros2Config, published: Shared, simulator: Option<Simulator>) -> Self {
         let config = config.clone();
         RosPublisher { config, published, simulator, sim_published_ms: 0, said_stopped: None }
@@ -63,12 +63,12 @@ impl RosPublisher {
         });
         if !said && let Some(published) = &mut *lock(&self.published) {
             self.said_stopped = Some((stopped, now_ms));
-            // What cannot be handed over is said again soon.
+            // A message that cannot be sent is soon sent again.
             let _ = published.say_stopped(stopped);
         }
     }
 
-    /// Publishes what the hands do.
+    /// Publishes the state of the hands.
     pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
         if let Some(published) = &mut *lock(&self.published) {
             published.diagnose(message);
@@ -100,7 +100,7 @@ impl RosPublisher {
     }
 }
 
-/// A publisher that panicked leaves what it had whole.
+/// A publisher that panicked leaves its data intact.
 pub(super) fn lock(published: &Shared) -> MutexGuard<'_, Option<Box<dyn Voice>>> {
     published.lock().unwrap_or_else(PoisonError::into_inner)
 }

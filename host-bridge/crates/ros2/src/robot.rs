@@ -1,6 +1,6 @@
-//! A robot on a ROS 2 graph: decides on the messages and their times. It is sans-IO; `ros2::node` sends them.
+//! A robot on a ROS 2 graph. It decides which messages are sent at which time. It is sans-IO; `ros2::node` sends them.
 //!
-//! Safety on the graph: nothing is sent until the bridge is armed for the first time (which needs neutral).
+//! Safety on the graph: nothing is sent until the bridge is armed for the first time, which requires neutral.
 //! While driving, the speed is repeated at a fixed rate.
 //! After a stop, zero is repeated for a limited time, followed by silence, so that another source may drive.
 //! A stop also cancels the arm's motion.
@@ -37,7 +37,7 @@ pub enum Output {
         /// The motion.
         trajectory: JointTrajectory,
     },
-    /// This goal must end.
+    /// The goal with this number must end.
     Cancel {
         /// Our number for it.
         goal: u32,
@@ -67,13 +67,13 @@ pub struct Counts {
     pub twists: u64,
     /// Arm motions.
     pub motions: u64,
-    /// Requests for the end of a goal of arm or gripper; what waits already is not asked for twice.
+    /// Requests to end a goal of arm or gripper, not counting those that are already waiting.
     pub cancels: u64,
-    /// Speeds and pieces of arm motions that a newer one replaced before they left: Zenoh on a network that stands still.
+    /// Speeds and pieces of arm motions that newer ones replaced before they were sent (stalled Zenoh networks only).
     pub replaced: u64,
-    /// Goals that were cancelled or too old before they left, likewise.
+    /// Goals that were cancelled or became too old before they were sent (likewise).
     pub withdrawn: u64,
-    /// Messages and requests that could not be handed over.
+    /// Messages and requests that could not be sent.
     pub failed: u64,
     /// Joint states heard.
     pub joint_states: u64,
@@ -99,7 +99,7 @@ pub struct RosRobot {
     allowed: bool,
     base: BaseCommand,
     wanted: Twist,
-    /// When the bridge last commanded.
+    /// Time of the bridge's last command.
     wanted_ms: u64,
     sent_ms: Option<u64>,
     arm: ArmLink,
@@ -141,7 +141,7 @@ impl RosRobot {
         }
     }
 
-    /// Sets the time for what follows.
+    /// Sets the current time for all following calls.
     pub fn at(&mut self, now_ms: u64) {
         self.now_ms = self.now_ms.max(now_ms);
     }
@@ -231,7 +231,7 @@ impl RosRobot {
         self.gripper.answer(goal, answer, self.now_ms, &mut self.outputs);
     }
 
-    /// What is to be sent, in order.
+    /// Returns the messages to send, in order.
     pub fn take_outputs(&mut self) -> Vec<Output> {
         std::mem::take(&mut self.outputs)
     }
@@ -263,7 +263,7 @@ impl RosRobot {
 }
 
 /// Returns whether a base has completed a tenth of a change in speed.
-/// Odometry noise is always smaller than that.
+/// Odometry noise is always smaller than this tenth.
 fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
     const SHARE: f64 = 0.1;
     let linear = (wanted.linear_m_s - then.linear_m_s, now.linear_m_s - then.linear_m_s);
@@ -329,7 +329,7 @@ impl Robot for RosRobot {
         if changed {
             self.send_speed();
         }
-        // Repeating is `step`'s work.
+        // The repetition itself is the task of `step`.
     }
 
     fn can_follow(&self) -> Result<(), String> {
@@ -427,7 +427,7 @@ mod tests {
     struct Rig {
         robot: RosRobot,
         now_ms: u64,
-        /// The bridge's command every 20 ms.
+        /// Sends the bridge's command every 20 ms.
         bridge: Option<Twist>,
     }
 

@@ -2,7 +2,7 @@
 
 /// Repetition interval of cancellation requests.
 pub const CANCEL_INTERVAL_MS: u64 = 200;
-/// More are not remembered.
+/// Maximum number of goals that are remembered.
 const STRAYS_MAX: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
@@ -11,7 +11,7 @@ struct Stray {
     cancelled_ms: u64,
     /// Latest end of the waiting time.
     until_ms: u64,
-    /// Whether it was reported as not running, which may be forged or refer to another server.
+    /// Whether the goal was reported as not running, which may be forged or refer to another server.
     is_said_over: bool,
 }
 
@@ -29,7 +29,7 @@ impl Strays {
         self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms, is_said_over: false });
     }
 
-    /// Reports that this goal is not running. Its cancellation is still requested, but nothing waits for it.
+    /// Reports that this goal is not running. Its cancellation is still requested, but no other goal waits for it.
     pub fn said_over(&mut self, goal: u32) {
         for stray in self.0.iter_mut().filter(|stray| stray.goal == goal) {
             stray.is_said_over = true;
@@ -73,7 +73,7 @@ impl Unsure {
         self.0.push((goal, until_ms));
     }
 
-    /// Processes a stop: `cancel` requests the cancellation of each, which is a stray from now on.
+    /// Processes a stop: `cancel` requests the cancellation of each goal, which counts as a stray from now on.
     pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
         for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
             cancel(goal);

@@ -1,4 +1,4 @@
-//! What carries the node: DDS or Zenoh. The node knows neither.
+//! The middleware that carries the node: DDS or Zenoh. The node itself does not depend on the choice.
 
 use super::advice::{Graph, Probe};
 use super::answer::Answer;
@@ -7,7 +7,7 @@ use super::gripper::GripAnswer;
 use host_topics::message as ros;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// Why there is no node.
+/// The reason why there is no node.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("ROS 2: {0}")]
 pub struct NodeError(pub(super) String);
@@ -22,13 +22,13 @@ impl NodeError {
 pub enum Came {
     /// A simulation's time.
     Clock(ros::Clock),
-    /// What somebody says on the e-stop's or the fault flag's topic.
+    /// A value on the topic of the e-stop or the fault flag.
     Flag {
-        /// Its number among the configured ones.
+        /// The number of the flag among the configured ones.
         input: usize,
-        /// The participant that says it.
+        /// The participant that sent the value.
         writer: String,
-        /// The robot must stop.
+        /// Whether the robot must stop.
         stop: bool,
     },
     /// Angles, and the participant that reports them.
@@ -37,11 +37,11 @@ pub enum Came {
     Base(Box<ros::Odometry>),
     /// The arm controller's set point and state.
     Controller(Box<ToldState>),
-    /// This many goals of others are active on the arm's action server.
+    /// The number of active goals on the arm's action server that are not ours.
     ForeignGoals(usize),
 }
 
-/// How the arm's motions are sent.
+/// The interface by which the arm's motions are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ArmWay {
     /// Not at all.
@@ -52,110 +52,110 @@ pub enum ArmWay {
     Action,
 }
 
-/// What became of a message that was to be sent.
+/// The result of sending a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
     /// It is on its way.
     Yes,
-    /// It is on its way in the place of an older one, which had not left yet and never does.
+    /// The message replaces an older one that had not been sent yet and will not be sent.
     Instead,
     /// It cannot be sent.
     No,
 }
 
 impl Sent {
-    /// Of a message that is sent at once or not at all.
+    /// Returns the result for a message that is sent at once or not at all.
     pub fn at_once(is_sent: bool) -> Self {
         if is_sent { Sent::Yes } else { Sent::No }
     }
 }
 
-/// What was taken over and not sent after all.
+/// Messages that were accepted for sending but not sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Unsent {
-    /// Goals that were cancelled or too old before they left.
+    /// Goals that were cancelled or became too old before they were sent.
     pub withdrawn: u64,
     /// Messages and requests that failed.
     pub failed: u64,
 }
 
-/// The node's entities on the graph. **Nothing here waits for anybody**: what cannot be handed over at once is `false`.
+/// The node's entities on the graph. **No function waits**: if a message cannot be accepted at once, it returns false.
 pub trait Transport: Send {
-    /// Everybody else on the graph.
+    /// Returns all other participants on the graph.
     fn graph(&mut self) -> Graph;
-    /// What carries it is at work.
+    /// Returns whether the middleware's threads are alive.
     fn is_alive(&self) -> bool;
-    /// Hands out what was received.
+    /// Returns the messages that were received.
     fn take(&mut self, came: &mut dyn FnMut(Came));
     /// Whether speeds are stamped.
     fn is_stamped(&self) -> bool;
-    /// Publishes speeds as the other type from now on.
+    /// Publishes speeds with the other type from now on.
     ///
     /// # Errors
-    /// The topic cannot be had.
+    /// Fails if the topic cannot be created.
     fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError>;
-    /// Sends a speed as the type that is set; the plain type leaves the header out.
+    /// Sends a speed with the selected type; the plain type omits the header.
     fn send_speed(&mut self, speed: ros::TwistStamped) -> Sent;
-    /// How the arm's motions are sent.
+    /// Returns the interface by which the arm's motions are sent.
     fn arm_way(&self) -> ArmWay;
     /// Sends a trajectory, or a piece of one, on the controller's topic.
     fn send_trajectory(&mut self, trajectory: ros::JointTrajectory) -> Sent;
     /// Looks for the arm's action server. Returns whether goals may be sent.
     ///
     /// # Errors
-    /// If the client cannot be made.
+    /// Fails if the client cannot be created.
     fn look_for_server(&mut self, graph: &Graph) -> Result<bool, NodeError>;
     /// Sends a goal; `ours` is our number for it.
     fn send_goal(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool;
-    /// Asks for a goal's end. `Instead` = the same request waits already.
+    /// Requests the end of a goal. `Instead` means that the same request is already waiting.
     fn cancel(&mut self, ours: u32) -> Sent;
-    /// Asks once for the end of a goal that nobody has.
+    /// Requests once the end of a goal that does not exist.
     fn ask(&mut self);
-    /// The result of that so far.
+    /// Returns the result of that request so far.
     fn probe(&self) -> Probe;
-    /// How many goals run on the action's server that are not ours.
+    /// Returns the number of active goals on the action's server that are not ours.
     fn foreign(&self) -> usize;
-    /// What the server said: our number of the goal, and the answer.
+    /// Returns the server's answers, each with our number of the goal.
     fn answers(&mut self) -> Vec<(u32, Answer)>;
-    /// Looks for the gripper's action server. Returns why none can be used; `None` = one can.
+    /// Looks for the gripper's action server. Returns why none can be used, or `None` if one can be used.
     fn look_for_gripper(&mut self, graph: &Graph) -> Option<String>;
-    /// Which gripper is asked, for people.
+    /// Describes the chosen gripper for users.
     fn about_gripper(&self) -> Option<String>;
-    /// Sends the gripper a goal; `ours` is our number for it.
+    /// Sends a goal to the gripper; `ours` is our number for it.
     fn send_grip(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool;
-    /// Asks for the end of the gripper's goal.
+    /// Requests the end of the gripper's goal.
     fn cancel_grip(&mut self, ours: u32) -> Sent;
-    /// What the gripper's server said.
+    /// Returns the answers of the gripper's server.
     fn grip_answers(&mut self) -> Vec<(u32, GripAnswer)>;
-    /// What was taken over, and was not sent after all since the last call.
+    /// Returns the counts of messages that were accepted but not sent since the last call.
     fn take_unsent(&mut self) -> Unsent {
         Unsent::default()
     }
 }
 
-/// What the program publishes beside its commands.
+/// Publishes data other than commands.
 pub trait Voice: Send {
-    /// What the hands do.
+    /// Publishes the state of the hands.
     fn diagnose(&mut self, message: ros::DiagnosticArray);
-    /// Whether this program's operator has stopped; whether it could be handed over.
+    /// Publishes whether this program's operator has stopped. Returns whether the message was accepted for sending.
     fn say_stopped(&mut self, stopped: bool) -> bool;
-    /// The simulator's state is published.
+    /// Begins to publish the simulator's state.
     fn has_simulator(&self) -> bool;
-    /// It is not published any more.
+    /// Ceases to publish the simulator's state.
     fn end_simulator(&mut self);
-    /// The simulator's URDF, also for late subscribers: the first time that this is called, or as often as it takes.
+    /// Publishes the simulator's URDF, also for late subscribers: at the first call, or at as many calls as necessary.
     fn describe(&mut self, urdf: &str);
     /// The simulator's state.
     fn simulate(&mut self, joints: ros::JointState, odometry: ros::Odometry, frames: ros::TfMessage);
 }
 
-/// A node on the graph, and what it says beside.
+/// A node on the graph, and its publisher of other data.
 pub type Opened = (Box<dyn Transport>, Box<dyn Voice>);
 
-/// Joins the graph as configured; with `publish_sim` as one who publishes the simulator's state.
+/// Joins the graph as configured. With `publish_sim`, it also publishes the simulator's state.
 ///
 /// # Errors
-/// [`NodeError`]: the domain, the router or a topic cannot be had.
+/// Returns [`NodeError`] if the domain, the router or a topic is not available.
 pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> Result<Opened, NodeError> {
     match config.transport {
         Carrier::Dds => {
@@ -173,7 +173,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     }
 }
 
-/// A controller's state with the fields that follow in Jazzy. Other releases end otherwise; what cannot be read is left out.
+/// A controller's state with Jazzy's later fields. Other releases end differently; unreadable fields are omitted.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ToldState {
     /// The part that all releases share.
@@ -184,19 +184,19 @@ pub struct ToldState {
 impl ros2_client::Message for ToldState {}
 
 impl ToldState {
-    /// The factor by which it scales speeds, if it reports it.
+    /// The factor by which the controller scales speeds, if this is reported.
     pub fn scaling(&self) -> Option<f64> {
         self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
     }
 }
 
-/// The end of a message, if it is as expected.
+/// Reads the end of a message, if it has the expected form.
 #[derive(Clone, Debug, Serialize)]
 struct Tail(Option<Rest>);
 
 impl<'de> Deserialize<'de> for Tail {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Nothing follows that a wrong reading could damage.
+        // No further field follows that could be read incorrectly.
         Ok(Tail(Rest::deserialize(deserializer).ok()))
     }
 }

@@ -1,23 +1,23 @@
 //! The vendor of a participant's DDS, and the wrapping of its services' requests.
 //!
-//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) stores the vendor's id in the first two bytes
-//! of every GUID prefix.
+//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) puts the vendor's id into every GUID prefix.
+//! The id is in the first two bytes of the prefix.
 //! The two bytes equal the id in the participant's announcements.
 
 use std::fmt;
 
-/// Who made a participant's middleware.
+/// The vendor of a participant's middleware.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Vendor(pub [u8; 2]);
 
 impl Vendor {
-    /// eProsima Fast DDS, under `rmw_fastrtps_cpp`: the default of Jazzy, Kilted and Lyrical.
+    /// eProsima Fast DDS, used by `rmw_fastrtps_cpp`: the default of Jazzy, Kilted and Lyrical.
     pub const FAST_DDS: Vendor = Vendor([0x01, 0x0F]);
-    /// Eclipse Cyclone DDS, under `rmw_cyclonedds_cpp`.
+    /// Eclipse Cyclone DDS, used by `rmw_cyclonedds_cpp`.
     pub const CYCLONE_DDS: Vendor = Vendor([0x01, 0x10]);
-    /// RTI Connext, under `rmw_connextdds`.
+    /// RTI Connext, used by `rmw_connextdds`.
     pub const CONNEXT: Vendor = Vendor([0x01, 0x01]);
-    /// No DDS: a session of Zenoh. Not assigned to anybody.
+    /// A session of Zenoh instead of DDS. This id is not assigned to any vendor.
     pub const ZENOH: Vendor = Vendor([0xFF, 0x5A]);
     /// RustDDS, as here.
     pub const RUST_DDS: Vendor = Vendor([0x01, 0x12]);
@@ -46,13 +46,13 @@ impl fmt::Display for Vendor {
     }
 }
 
-/// The identification of requests and replies.
+/// The form in which requests and replies are identified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wrapping {
-    /// In 16 bytes before the message (`rmw_cyclonedds_cpp`).
+    /// The id is in 16 bytes before the message (`rmw_cyclonedds_cpp`).
     Cyclone,
-    /// In the data's inline quality of service, according to DDS-RPC's enhanced mapping (`rmw_fastrtps_cpp`
-    /// and `rmw_connextdds`).
+    /// The id is in the data's inline quality of service, according to DDS-RPC's enhanced mapping.
+    /// `rmw_fastrtps_cpp` and `rmw_connextdds` use this form.
     Rpc,
 }
 

@@ -1,17 +1,17 @@
-//! Names on Zenoh as rmw_zenoh lays them out: keys of topics and services, tokens that say who is there, and what is
-//! attached to each message. Sans-IO. Read from rmw_zenoh's source (`liveliness_utils`, `attachment_helpers`, `qos`):
-//! compatible by that, not tried against rmw_zenoh itself.
+//! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens of end points, attachments of messages.
+//! This module is sans-IO. Its source is rmw_zenoh's code (`liveliness_utils`, `attachment_helpers`, `qos`).
+//! The names are compatible according to this source, but were not tested with rmw_zenoh itself.
 
 use super::advice::Endpoint;
 use super::hashes;
 use super::vendor::Vendor;
 
-/// What tokens begin with.
+/// The prefix of all tokens.
 const ADMIN: &str = "@ros2_lv";
-/// A type that has no hash here is read under any.
+/// A type without a hash in our table matches any hash.
 const ANY: &str = "*";
 
-/// What a token is about.
+/// The kind of entity that a token announces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entity {
     /// A node.
@@ -47,22 +47,22 @@ impl Entity {
 /// A topic, or a service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Named {
-    /// As people write it: `/cell1/cmd_vel`.
+    /// The form that users write: `/cell1/cmd_vel`.
     pub name: String,
-    /// As on the wire: `geometry_msgs::msg::dds_::Twist_`; of a service without what request and reply add.
+    /// The form on the wire: `geometry_msgs::msg::dds_::Twist_`; a service has no suffixes of request and reply.
     pub type_name: String,
     /// REP-2016's.
     pub hash: String,
 }
 
 impl Named {
-    /// A topic of a type such as `geometry_msgs/msg/Twist`.
+    /// Creates a topic with a type such as `geometry_msgs/msg/Twist`.
     pub fn new(name: &str, ros_type: &str) -> Self {
         let hash = hashes::of(ros_type).unwrap_or(ANY).to_owned();
         Named { name: name.to_owned(), type_name: wire_type(ros_type), hash }
     }
 
-    /// Where its messages go.
+    /// Returns the key of its messages.
     pub fn key(&self, domain: u16) -> String {
         format!("{domain}/{}/{}/{}", self.name.trim_matches('/'), self.type_name, self.hash)
     }
@@ -76,7 +76,7 @@ pub fn wire_type(ros_type: &str) -> String {
     }
 }
 
-/// Slashes are no part of a name in a token; nothing is one of them.
+/// A name in a token contains no slashes: `%` replaces each slash, and stands for an empty name.
 fn mangled(name: &str) -> String {
     if name.is_empty() { "%".to_owned() } else { name.replace('/', "%") }
 }
@@ -85,21 +85,21 @@ fn demangled(name: &str) -> String {
     name.replace('%', "/")
 }
 
-/// How messages of a topic are kept: what is left out is rmw_zenoh's default (reliable, volatile, the last 42).
+/// Quality of service of a topic: omitted values are rmw_zenoh's defaults (reliable, volatile, the last 42).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quality {
-    /// Lost messages are sent again.
+    /// Whether lost messages are sent again.
     pub reliable: bool,
-    /// The last word is kept for whoever comes late.
+    /// Whether the last message is stored for late subscribers.
     pub transient_local: bool,
-    /// So many are kept.
+    /// The number of stored messages.
     pub depth: u32,
 }
 
 impl Quality {
     /// As most topics have it.
     pub const RELIABLE: Quality = Quality { reliable: true, transient_local: false, depth: 10 };
-    /// The last word, for whoever comes late.
+    /// The last message is stored for late subscribers.
     pub const LATCHED: Quality = Quality { reliable: true, transient_local: true, depth: 1 };
 
     fn code(self) -> String {
@@ -117,7 +117,7 @@ impl Quality {
     }
 }
 
-/// A node on the graph, as its tokens name it.
+/// A node on the graph, as described in its tokens.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Node {
     /// ROS's domain.
@@ -136,7 +136,7 @@ impl Node {
         self.begin(0, Entity::Node)
     }
 
-    /// The token of one of its ends; `id` sets them apart.
+    /// Returns the token of one of its end points, distinguished by `id`.
     pub fn end_token(&self, id: u32, entity: Entity, named: &Named, quality: Quality) -> String {
         let Named { name, type_name, hash } = named;
         let (name, type_name) = (mangled(name), mangled(type_name));
@@ -145,7 +145,7 @@ impl Node {
 
     fn begin(&self, id: u32, entity: Entity) -> String {
         let Node { domain, session, namespace, name } = self;
-        // The enclave, which is ROS's default, comes before the namespace.
+        // The enclave, which is ROS's default, precedes the namespace.
         format!(
             "{ADMIN}/{domain}/{session}/0/{id}/{}/%/{}/{}",
             entity.code(),
@@ -155,12 +155,12 @@ impl Node {
     }
 }
 
-/// All tokens of a domain.
+/// Returns a pattern for all tokens of a domain.
 pub fn tokens_of(domain: u16) -> String {
     format!("{ADMIN}/{domain}/**")
 }
 
-/// What a token says.
+/// The content of a token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Told {
     /// What it is about.
@@ -173,7 +173,7 @@ pub struct Told {
     pub end: Option<(Named, Quality)>,
 }
 
-/// Reads a token; `None` if it is none.
+/// Reads a token; returns `None` for any other text.
 pub fn read_token(token: &str) -> Option<Told> {
     let parts: Vec<&str> = token.split('/').collect();
     let [ADMIN, _, session, _, _, code, _, namespace, node, rest @ ..] = &parts[..] else { return None };
@@ -191,7 +191,7 @@ pub fn read_token(token: &str) -> Option<Told> {
 }
 
 impl Told {
-    /// The same as DDS would show it, and whether it reads; `None` for nodes and clients.
+    /// Returns the end point as DDS would show it, and whether it reads; `None` for nodes and clients.
     pub fn endpoint(&self) -> Option<(Endpoint, bool)> {
         let (named, quality) = self.end.as_ref()?;
         let (topic, type_name, reads) = match self.entity {
@@ -206,33 +206,33 @@ impl Told {
             topic,
             type_name,
             reliable: quality.reliable,
-            // Any writer matches any reader here.
+            // Every writer matches every reader here.
             transient_local: false,
             vendor: Vendor::ZENOH,
             participant: self.session.clone(),
-            // A service's is not its request's.
+            // The type of a service differs from that of its request.
             type_hash: (self.entity != Entity::Server).then(|| named.hash.clone()),
         };
         Some((end, reads))
     }
 }
 
-/// What goes with each message.
+/// The attachment of each message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attached {
-    /// Counts the writer's messages, or a client's requests.
+    /// The number of the writer's message, or of a client's request.
     pub number: i64,
-    /// When it was sent, in ns since 1970.
+    /// Time of sending, in ns since 1970.
     pub sent_ns: i64,
     /// Who sent it.
     pub writer: [u8; 16],
 }
 
-/// Jazzy names each value; later releases only put them one after the other.
+/// Jazzy names each value; later releases only store the values in order.
 const LABELS: [&str; 3] = ["sequence_number", "source_timestamp", "source_gid"];
 
 impl Attached {
-    /// As bytes, with the values' names or without.
+    /// Returns the bytes, with or without the values' names.
     pub fn bytes(&self, labelled: bool) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(77);
         let parts: [&[u8]; 3] = [&self.number.to_le_bytes(), &self.sent_ns.to_le_bytes(), &self.writer];
@@ -249,7 +249,7 @@ impl Attached {
         bytes
     }
 
-    /// Reads either, and whether it was the one with names.
+    /// Reads either form, and returns whether it contained names.
     pub fn read(bytes: &[u8]) -> Option<(Self, bool)> {
         let labelled = bytes.get(1..16) == Some(LABELS[0].as_bytes());
         let mut rest = bytes;
@@ -311,7 +311,7 @@ mod tests {
         assert_eq!((told.entity, told.session.as_str()), (Entity::Publisher, "a1b2"));
         assert_eq!(told.node, "/cell1/bimanual");
         assert_eq!(told.end, Some((twist, quality)));
-        // As rmw_zenoh's own documentation has it: best effort, transient local, keep all.
+        // These are the values in rmw_zenoh's own documentation: best effort, transient local, keep all.
         let theirs =
             "@ros2_lv/0/q1/1/32/MP/%/%/talker/%chatter/std_msgs::msg::dds_::String_/RIHS01_x/2:1:2,10:,:,:,,";
         let (named, kept) = read_token(theirs).unwrap().end.unwrap();
@@ -347,8 +347,8 @@ mod tests {
         };
         let (plain, labelled) = (attached.bytes(false), attached.bytes(true));
         assert_eq!((plain.len(), labelled.len()), (33, 77));
-        // Laid out by hand after rmw_zenoh's attachment_helpers.cpp: two integers, then 16 bytes with their number before them;
-        // Jazzy puts the length and the name of each before it.
+        // Assembled by hand from rmw_zenoh's attachment_helpers.cpp: two integers, then the length and 16 bytes;
+        // Jazzy puts the length and the name of each value before it.
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let (number, sent) = ("0700000000000000", "0100f323845bd718");
         let writer = "10000102030405060708090a0b0c0d0e0f";

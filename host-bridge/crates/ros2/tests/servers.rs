@@ -1,7 +1,7 @@
 //! Tests two action servers, late and forged answers, and false joint states. A stop must end every motion.
 //!
-//! Each server executes accepted goals like joint_trajectory_controller, until they finish or are cancelled.
-//! Its answers may be late, and other participants' messages may arrive in between.
+//! Each server executes accepted goals, like joint_trajectory_controller, until they finish or are cancelled.
+//! The answers may be late, and other participants' messages may arrive in between.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use host_topics::message::JointState;
 
 const HOME: Joints = joints([0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57]);
 const GOAL: Joints = joints([0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57]);
-/// From the stop, or from the later acceptance, to the cancellation.
+/// Time from the stop, or from the later acceptance, to the cancellation.
 const LIMIT_MS: u64 = 300;
 
 fn limits() -> JointLimits {
@@ -34,14 +34,14 @@ fn angles(joints: Joints) -> JointState {
     }
 }
 
-/// A goal at one server.
+/// A goal on one server.
 struct Executing {
     goal: u32,
     since_ms: u64,
     cancelled_ms: Option<u64>,
 }
 
-/// The possible answers of servers of one kind of action, and of a forger.
+/// The possible answers of one kind of action server, and of a forger.
 struct Words<A> {
     accepted: A,
     rejected: A,
@@ -108,7 +108,7 @@ impl<A: Clone + PartialEq> Servers<A> {
     }
 }
 
-/// Random sessions of 16 s.
+/// Runs random sessions of 16 s.
 fn sessions() -> u64 {
     if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 }
 }
@@ -211,7 +211,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion_of_the_grip
         for now_ms in 1..16_000_u64 {
             if now_ms % 700 == 0 && now_ms < stop_ms {
                 let opening_m = [0.0, 0.085][random.below(2)];
-                // This is refused while another goal may be running.
+                // The goal is refused while another one may be running.
                 let _ =
                     gripper.grip(Grip { opening_m, effort_n: None, between_m: None }, now_ms, &mut outputs);
             }
@@ -322,6 +322,6 @@ fn forty_thousand_joint_names_take_no_time() {
     }
     let per_message_ms = began.elapsed().as_millis() as u64 / 100;
     println!("row: 40,000 joint names in a message | 100 | {per_message_ms} ms | 5 ms");
-    // With quadratic complexity, it would take seconds on any machine.
+    // With quadratic complexity, this would take seconds on any machine.
     assert!(per_message_ms < 100, "{per_message_ms} ms");
 }

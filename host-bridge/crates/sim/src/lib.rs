@@ -18,7 +18,7 @@ pub const COMMAND_TIMEOUT_MS: u64 = 500;
 pub struct SimConfig {
     /// Size and limits of the base.
     pub base: BaseConfig,
-    /// Where the arm starts, in rad.
+    /// Initial position of the arm, in rad.
     pub arm_start_rad: Joints,
     /// Scaled limits of the arm.
     pub arm_limits: JointLimits,
@@ -129,7 +129,7 @@ impl Arm {
         }
     }
 
-    /// Abandons the trajectory and brakes straight ahead as fast as the limits allow.
+    /// Abandons the trajectory and brakes in a straight line as fast as the limits allow.
     fn halt(&mut self, limits: &JointLimits) {
         if self.following.is_some() && !self.halting {
             self.following = Some((Arc::new(Trajectory::braking(self.here, limits)), 0.0));

@@ -4,7 +4,7 @@ use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
 use host_core::bridge::{Bridge, BridgeEvent, EventKind};
 use host_core::safety::{Hand, PerHand, State};
 
-/// Repetition interval while nothing happens.
+/// Interval for repeating the diagnostics while no event occurs.
 pub const INTERVAL_MS: u64 = 1000;
 
 /// Collects events and determines when to publish them.
@@ -21,7 +21,7 @@ pub struct Diagnostics {
 }
 
 impl Diagnostics {
-    /// Takes what happened.
+    /// Processes an event of the session.
     pub fn note(&mut self, event: &BridgeEvent) {
         match &event.kind {
             EventKind::HandStarted { hand, identity } => {

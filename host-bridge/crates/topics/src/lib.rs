@@ -38,7 +38,7 @@ macro_rules! topics {
         pub enum Topic { $($(#[doc = $about])* $topic,)* }
 
         impl Topic {
-            /// All, in the order of their channels.
+            /// All topics in the order of their channels.
             pub const ALL: [Topic; [$($name),*].len()] = [$(Topic::$topic),*];
 
             /// Its name.
@@ -46,13 +46,13 @@ macro_rules! topics {
                 match self { $(Topic::$topic => $name,)* }
             }
 
-            /// Its type: `package/msg/Name`.
+            /// The topic's type: `package/msg/Name`.
             pub fn kind(self) -> String {
                 let kind = match self { $(Topic::$topic => <$kind>::TYPE,)* };
                 kind.replace('/', "/msg/")
             }
 
-            /// Returns the complete description of its type, including all types that it contains.
+            /// Returns the complete description of the topic's type, including all types that it contains.
             pub fn schema(self) -> String {
                 match self { $(Topic::$topic => schema::schema::<$kind>(),)* }
             }
@@ -61,49 +61,49 @@ macro_rules! topics {
 }
 
 topics! {
-    /// Bytes from the left hand's board, as they came.
+    /// Bytes from the left hand's board, unchanged.
     LeftReceived: bimanual::Bytes = "/bridge/left/received",
     /// Frames to the left hand's board.
     LeftSent: bimanual::Bytes = "/bridge/left/sent",
-    /// Bytes from the right hand's board, as they came.
+    /// Bytes from the right hand's board, unchanged.
     RightReceived: bimanual::Bytes = "/bridge/right/received",
     /// Frames to the right hand's board.
     RightSent: bimanual::Bytes = "/bridge/right/sent",
     /// Keys of the operator.
     Operated: bimanual::Operated = "/bridge/operated",
-    /// Steps of bridge and robot between what came in.
+    /// Steps of bridge and robot between the inputs.
     Turns: bimanual::Turns = "/bridge/turns",
     /// Readings of the left hand's converter.
     LeftSample: bimanual::LeftSample = "/hands/left/sample",
     /// Readings of the right hand's IMU in the units of recordings.
     RightSample: bimanual::RightSample = "/hands/right/sample",
-    /// The same in ROS's units: rad/s, m/s².
+    /// The same readings in ROS's units: rad/s and m/s².
     Imu: message::Imu = "/hands/right/imu",
-    /// The same in ROS's unit: tesla.
+    /// The same readings in ROS's unit: tesla.
     Magnetic: message::MagneticField = "/hands/right/mag",
     /// What the hands say.
     Hands: bimanual::Hands = "/hands/state",
     /// All events.
     Events: bimanual::Event = "/events",
-    /// The commands of the hands alone.
+    /// Only the commands of the hands.
     Intents: bimanual::Intent = "/intents",
-    /// Halts and releases alone.
+    /// Only halts and releases.
     Stops: bimanual::Stop = "/stops",
-    /// All events as lines of a log.
+    /// All events as lines in a log.
     Log: message::Log = "/rosout",
-    /// What the base is asked for.
+    /// The commanded speed of the base.
     Twist: message::TwistStamped = "/cmd_vel",
     /// The arm's and the wheels' joints.
     Joints: message::JointState = "/joint_states",
     /// Where the base is.
     Odometry: message::Odometry = "/odom",
-    /// Frames of base and arm.
+    /// Frames of the base and the arm.
     Transforms: message::TfMessage = "/tf",
-    /// Messages that could not be kept, because the disk was too slow.
+    /// The number of messages that were lost because the disk was too slow.
     Lost: bimanual::Lost = "/bridge/lost",
-    /// The robot itself refuses to move, or does not any more.
+    /// The robot itself begins or ceases to refuse motion.
     Refused: bimanual::Refused = "/bridge/refused",
-    /// Where episodes begin and end, as the operator marked them.
+    /// Starts and ends of episodes, as marked by the operator.
     Marks: bimanual::Mark = "/episodes/marks",
 }
 

@@ -1,4 +1,4 @@
-//! Every message, made from what observers are shown.
+//! Creates all messages from the data that observers receive.
 
 use serde::Serialize;
 
@@ -143,7 +143,7 @@ impl Origin {
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
-    /// Reports that the robot itself refuses to move, or with `None` that the refusal has ended.
+    /// Reports that the robot itself refuses to move, or (with `None`) that the refusal has ended.
     pub fn refused(self, time_ms: u64, reason: Option<&str>) -> Entry {
         let reason = reason.unwrap_or_default().to_owned();
         Entry::new(Topic::Refused, time_ms, &own::Refused { stamp: self.stamp(time_ms), time_ms, reason })
@@ -176,7 +176,7 @@ impl Origin {
                     let found = values.get(from..from + 3)?;
                     Some(DVec3::from([0, 1, 2].map(|i| f64::from(found[i]))) * factor)
                 };
-                // In ROS, a first element of -1 marks a missing value.
+                // In ROS, the value -1 in the first element means that the data is missing.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
                 let raw = own::RightSample { header: header.clone(), values: values.to_vec() };
@@ -271,7 +271,7 @@ impl Origin {
         Entry::new(Topic::Hands, now.time_ms, &hands)
     }
 
-    /// What the base is asked for.
+    /// Reports the commanded speed of the base.
     pub fn twist(self, now: &Now<'_>) -> Entry {
         let twist =
             ros::TwistStamped { header: self.header(now.time_ms, BASE), twist: now.bridge.twist().into() };
@@ -333,7 +333,7 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
 }
 
-/// Returns the state of the dead-man, with any other reason that restricts the robot.
+/// Returns the state of the dead-man, together with any other reason that restricts the robot.
 fn safety(bridge: &Bridge) -> String {
     let mut text = plain(&bridge.safety().state());
     if bridge.is_jogging() {
@@ -345,7 +345,7 @@ fn safety(bridge: &Bridge) -> String {
     text
 }
 
-/// Formats a value as in the JSON summary, but texts without quotes.
+/// Formats a value as in the JSON summary, but without quotes around texts.
 fn plain(value: &impl serde::Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(text)) => text,

@@ -19,7 +19,7 @@ pub trait Outlet {
 }
 
 /// The observer that creates all messages of a session.
-/// Joints have 100 Hz, odometry, speeds and transforms 50 Hz, hands 20 Hz, and other messages follow events.
+/// Rates: joints 100 Hz; odometry, speeds and transforms 50 Hz; hands 20 Hz. Other messages follow events.
 #[derive(Debug)]
 pub struct Teller<O: Outlet> {
     origin: Origin,

@@ -8,7 +8,7 @@ use crate::message::{
 };
 use host_robot::{BaseConfig, DVec3, Picture, base};
 
-/// Odometry is published this often.
+/// Interval at which odometry is published.
 pub const SPEED_INTERVAL_S: f64 = 0.02;
 
 impl Time {
@@ -24,7 +24,7 @@ impl Time {
         Time::at_ns(nanoseconds)
     }
 
-    /// This many nanoseconds since 1970.
+    /// Creates a time from nanoseconds since 1970.
     pub fn at_ns(nanoseconds: u64) -> Self {
         Time {
             sec: i32::try_from(nanoseconds / 1_000_000_000).unwrap_or(i32::MAX),
@@ -32,7 +32,7 @@ impl Time {
         }
     }
 
-    /// The same in nanoseconds.
+    /// Returns the time in nanoseconds since 1970.
     pub fn nanoseconds(self) -> i64 {
         i64::from(self.sec) * 1_000_000_000 + i64::from(self.nanosec)
     }
@@ -70,7 +70,7 @@ impl From<base::Twist> for Twist {
     }
 }
 
-/// Expands a covariance to x, y, z and the rotations about them; our entries go to `places`.
+/// Expands a covariance to x, y, z and the rotations about them. Our entries are placed at `places`.
 fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]; 6] {
     let mut all = [[0.0; 6]; 6];
     for (row, values) in ours.iter().enumerate() {
@@ -82,7 +82,7 @@ fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]
 }
 
 impl Odometry {
-    /// Creates odometry with covariances; the one of the speed is for [`SPEED_INTERVAL_S`].
+    /// Creates odometry with covariances; that of the speed applies to [`SPEED_INTERVAL_S`].
     pub fn of(robot: &Picture, wheels: &BaseConfig, header: Header, child_frame_id: String) -> Self {
         let odometry = robot.odometry;
         let of_speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);

@@ -1,4 +1,4 @@
-//! The bridge's part of jogging: who has the left hand, and what it asks of the tool.
+//! The bridge's part of jogging: which part of the robot the left hand moves, and the tool's requested motion.
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 
@@ -8,7 +8,7 @@ use crate::jog::{self, JogRules};
 use crate::safety::{self, Hand, State};
 
 impl Bridge {
-    /// A label or a key lends the left hand to the arm by these rules.
+    /// A label or a key lends the left hand to the arm according to these rules.
     #[must_use]
     pub fn jogging_by(self, jog: JogRules) -> Self {
         Bridge { jog, ..self }
@@ -50,7 +50,7 @@ impl Bridge {
         GestureOutcome::Lent
     }
 
-    /// Whatever the state is.
+    /// Takes the left hand back, in every state.
     pub(super) fn take_back(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Clutch { lends: false }, now_ms, robot);
     }
@@ -76,13 +76,13 @@ impl Bridge {
         })
     }
 
-    /// What the hand asks of the tool now; `None` = nothing is asked of it.
+    /// Returns the motion that the hand requests of the tool now; `None` means that it requests none.
     fn tool_m_s(&self, now_ms: u64) -> Option<DVec3> {
         let pointing = self.safety.jogging()?;
         Some(jog::tool_m_s(&self.jog, &self.drive, pointing, &self.lift, now_ms))
     }
 
-    /// Asks for it, as often as the base is asked for its speed. Halting is the safety machine's.
+    /// Requests this motion as often as the base's speed. Only the safety machine halts the arm.
     pub(super) fn move_tool(&mut self, due: bool, now_ms: u64, robot: &mut dyn Door) {
         let Some(tool_m_s) = self.tool_m_s(now_ms) else { return };
         if due || tool_m_s != self.jogged_m_s {

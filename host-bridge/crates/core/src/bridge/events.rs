@@ -40,7 +40,7 @@ pub enum EventKind {
     Model {
         /// The requirements and labels of the model.
         model: ModelSummary,
-        /// Labels that have no motion here.
+        /// Labels for which this robot has no motion.
         without_motion: Vec<String>,
     },
     /// A board reported a fault.
@@ -77,7 +77,7 @@ pub enum EventKind {
         heading: Heading,
         /// The resulting speed of the base.
         twist: Twist,
-        /// Board clock at the sample.
+        /// Time of the sample on the board's clock.
         sample_board_ms: u32,
         /// Age of the sample.
         age_ms: u64,
@@ -97,9 +97,9 @@ pub enum EventKind {
         label: String,
         /// 0 to 1.
         confidence: f32,
-        /// Board clock at the end of the deciding window.
+        /// Time of the deciding window's end on the board's clock.
         window_end_board_ms: u32,
-        /// Age of that window's end.
+        /// Time since the end of that window.
         age_ms: u64,
         /// The effect of the gesture.
         outcome: GestureOutcome,
@@ -111,7 +111,7 @@ pub enum EventKind {
         /// Age of the sample that caused the command.
         age_ms: u64,
     },
-    /// The score of a gesture rose, but not high or long enough for the board to detect it.
+    /// The score of a gesture rose, but not far or long enough for the board to detect it.
     Almost {
         /// The nearest gesture.
         label: String,
@@ -125,7 +125,7 @@ pub enum EventKind {
         /// Whether the arm reached its pose without a halt.
         reached: bool,
     },
-    /// A requested arm motion has no safe path to its pose, so nothing moves.
+    /// A requested arm motion has no safe path to its pose, so the robot does not move.
     MotionRefused {
         /// Which.
         motion: MotionName,
@@ -148,12 +148,12 @@ pub enum EventKind {
     RobotReady,
     /// A key ended only the arm's motion.
     ArmEnded,
-    /// The left hand is lent to the arm, or taken back.
+    /// The left hand is lent to the arm, or returned to the base.
     Jogging {
         /// It is lent.
         lent: bool,
     },
-    /// This session may do less than others.
+    /// This session has fewer rights than others.
     Restricted {
         /// What, and why.
         text: String,
@@ -176,7 +176,7 @@ pub enum EventKind {
 pub enum GestureOutcome {
     /// This motion starts.
     Started(MotionName),
-    /// The stop is released. This alone moves nothing.
+    /// The stop is released. The release itself starts no motion.
     Released,
     /// The gesture was dropped, because this motion is still running.
     Busy(MotionName),
@@ -184,9 +184,9 @@ pub enum GestureOutcome {
     Refused(MotionName),
     /// Only the arm's motion is ended.
     EndedArm,
-    /// The left hand is lent to the arm; both hands have to be neutral first.
+    /// The left hand is lent to the arm; both hands must be neutral before the arm moves.
     Lent,
-    /// It is taken back; neutral first.
+    /// The hand is returned to the base; both hands must be neutral first.
     TakenBack,
     /// The label has no motion.
     NoMotion,
@@ -201,17 +201,17 @@ pub enum GestureOutcome {
 pub struct Drops {
     /// States older than 250 ms.
     pub late_states: u32,
-    /// States with more bends than fingers can make in the time.
+    /// States with more bends than fingers can make in their time span.
     pub bends_impossible: u32,
     /// Gestures that were decided more than 250 ms ago.
     pub late_gestures: u32,
-    /// Gestures while another motion ran.
+    /// Gestures that arrived while another motion was running.
     pub gestures_while_busy: u32,
-    /// Gestures while not armed.
+    /// Gestures that arrived while not armed.
     pub gestures_while_not_armed: u32,
-    /// Gestures whose motion was not safe.
+    /// Gestures for which no safe motion exists.
     pub gestures_refused: u32,
-    /// Gestures without a motion.
+    /// Gestures that are mapped to no motion.
     pub gestures_without_motion: u32,
     /// Gestures whose label is unknown because their frames were lost.
     pub gestures_unnamed: u32,

@@ -1,19 +1,19 @@
-//! Sessions that may do less than others.
+//! Restrictions that give a session fewer rights than others.
 
 use super::{Bridge, EventKind};
 use crate::intent::{Caps, SpeedRules};
 
-/// What a session is not allowed to do, and why.
+/// The restriction of a session, and the reason for it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restriction {
-    /// Fastest speed of the base, in m/s and rad/s.
+    /// Maximum speed of the base, in m/s and rad/s.
     pub most: f64,
-    /// For people: what is less, and why. The arm does not move.
+    /// The restriction and its reason, for users. The arm does not move.
     pub text: String,
 }
 
 impl Bridge {
-    /// The base drives no faster than that, and the arm does not move.
+    /// Limits the base to this speed, and keeps the arm at rest.
     #[must_use]
     pub fn restricted(mut self, restriction: Restriction) -> Self {
         let Restriction { most, text } = &restriction;
@@ -30,7 +30,7 @@ impl Bridge {
         self
     }
 
-    /// What this session may not do, for people.
+    /// Returns the restriction of this session, as a text for users.
     pub fn restriction(&self) -> Option<&str> {
         self.restriction.as_ref().map(|restriction| restriction.text.as_str())
     }

@@ -11,7 +11,7 @@ use crate::tilt::Tilt;
 pub struct Gesture {
     /// Index in the model's labels.
     pub label: u8,
-    /// Current age of the end of the gesture's window.
+    /// Time since the end of the gesture's window.
     pub age_ms: u64,
     /// This gesture ends a stop.
     pub releases: bool,
@@ -24,9 +24,9 @@ pub enum Event {
     Tick,
     /// A hand started: its hello had a boot id that is new on this link.
     Started(Hand),
-    /// A hand cannot be used because its version differs. It counts as silent.
+    /// A hand cannot be used because its version differs. The hand counts as silent.
     Unusable(Hand),
-    /// The hand answers no pings, so the age of its states is unknown. It counts as silent.
+    /// The hand answers no pings, so the age of its states is unknown. The hand counts as silent.
     Unanswered(Hand),
     /// A left-hand state that is newer than all earlier ones.
     Left {
@@ -60,19 +60,19 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ends to refuse motion (its e-stop, a fault, clocks apart).
+    /// The robot itself begins or ceases to refuse motion (because of its e-stop, a fault, or clocks that differ).
     Robot {
         /// It refuses.
         refuses: bool,
     },
-    /// The clutch: the left hand is lent to the arm, or taken back. Only somebody armed can lend it.
+    /// The clutch lends the left hand to the arm, or returns it to the base. Lending requires the armed state.
     Clutch {
         /// It is lent.
         lends: bool,
     },
-    /// The operator's stop: a key, a button.
+    /// The operator's stop, by a key or a button.
     StopKey,
-    /// The operator pressed and confirmed the release key. It counts only if no right hand is connected.
+    /// The operator pressed and confirmed the release key. The key counts only if no right hand is connected.
     ReleaseKey,
 }
 
@@ -86,15 +86,15 @@ pub enum HaltReason {
     Silence(Hand),
     /// No ping was answered for 500 ms.
     Unanswered(Hand),
-    /// The hand reports that it cannot be trusted.
+    /// The hand reports that its states cannot be trusted.
     Unhealthy(Hand),
     /// The hand is new or has restarted.
     Restart(Hand),
     /// The robot itself refuses to move.
     RobotRefuses,
-    /// The left hand is lent to the arm, or taken back.
+    /// The left hand is lent to the arm, or returned to the base.
     Clutch,
-    /// The left hand moves the arm, and the right one does not rest.
+    /// The left hand moves the arm, and the right hand does not rest.
     NotAtRest,
 }
 
@@ -106,28 +106,28 @@ pub enum Ignored {
     LateState(Hand),
     /// The gesture's window ended more than 250 ms ago.
     LateGesture,
-    /// A gesture while not armed.
+    /// The gesture arrived while not armed.
     GestureWhileNotArmed,
     /// One state contains more bends than fingers can make in that time.
     ImpossibleBends,
-    /// Bends while not armed.
+    /// The bends arrived while not armed.
     BendsWhileNotArmed,
-    /// The release key was pressed while a right hand is connected, or before 1 s of neutral.
+    /// The release key was pressed while a right hand was connected, or before 1 s of neutral.
     ReleaseKey,
 }
 
 /// Actions of the bridge, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
-    /// Bring base and arm to rest.
+    /// Bring base and arm to rest within their limits.
     Halt(HaltReason),
     /// Reset both caps to their initial value.
     ResetCaps,
     /// The state changed.
     Entered(State),
-    /// The stop is over. This alone moves nothing.
+    /// The stop is over. The release alone starts no motion.
     Released,
-    /// The left hand is lent to the arm, or (false) taken back. That alone moves nothing.
+    /// The left hand is lent to the arm, or (false) returned to the base. The change alone starts no motion.
     Lent(bool),
     /// These bends count.
     Bends {

@@ -9,7 +9,7 @@ pub(super) struct Watch {
     pub(super) live: bool,
     /// Earliest possible time of the newest valid sample on the host's clock.
     pub(super) sample_ms: u64,
-    /// Samples before this time do not count as neutral, because of an event that resets neutral.
+    /// Samples before this time do not count as neutral, because an event has reset neutral since then.
     pub(super) reset_ms: u64,
     pub(super) neutral: Option<Neutral>,
 }
@@ -38,7 +38,7 @@ impl Watch {
         self.reset(now_ms);
     }
 
-    /// Resets neutral, which counts only from now on.
+    /// Resets neutral, which counts only for later samples.
     pub(super) fn reset(&mut self, now_ms: u64) {
         self.reset_ms = now_ms;
         self.neutral = None;
@@ -47,7 +47,7 @@ impl Watch {
     pub(super) fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
         let sample_ms = now_ms.saturating_sub(age_ms);
         self.live = true;
-        // Ages jitter, but the time of a hand's samples never decreases.
+        // Ages vary slightly, but the time of a hand's samples never decreases.
         self.sample_ms = self.sample_ms.max(sample_ms);
         if !neutral {
             self.neutral = None;

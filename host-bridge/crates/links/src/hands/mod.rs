@@ -1,4 +1,4 @@
-//! Plays recordings as boards: raw samples in, frames out, through the same code that boards run.
+//! Plays recordings as boards: converts raw samples to frames by the same code that boards run.
 
 mod delayed;
 mod left;

@@ -34,7 +34,7 @@ pub struct ModelFile {
 /// The reason why a model or its recordings cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// Model or card cannot be read, or they do not match.
+    /// The model or its card cannot be read, or they do not match.
     #[error(transparent)]
     Model(#[from] models::blob::ModelError),
     /// This program cannot run the model.
@@ -60,7 +60,7 @@ pub enum ModelFileError {
     Labels {
         /// The model.
         name: String,
-        /// How long they are.
+        /// The combined length of the labels.
         length: usize,
     },
     /// A recording cannot be used.
@@ -76,9 +76,9 @@ pub enum ModelFileError {
         file: PathBuf,
         /// The first missing column, counted from 1.
         column: usize,
-        /// Axes of the recording.
+        /// Number of axes in the recording.
         recording: usize,
-        /// Axes of the model.
+        /// Number of axes that the model needs.
         model: usize,
     },
 }
@@ -87,7 +87,7 @@ impl ModelFile {
     /// Reads an int8 `.tflite` file and its card.
     ///
     /// # Errors
-    /// [`ModelFileError`] if they are missing or damaged, or do not match.
+    /// Returns [`ModelFileError`] if one of the files is missing or damaged, or they do not match.
     pub fn read(file: &Path) -> Result<Self, ModelFileError> {
         let (blob, card) = models::blob::read(file)?;
         Ok(ModelFile { blob, card })
@@ -96,7 +96,7 @@ impl ModelFile {
     /// Returns the bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the compiled-in files do not match.
+    /// Returns [`ModelFileError`] if the compiled-in files do not match.
     pub fn bundled() -> Result<Self, ModelFileError> {
         let name = Path::new("right-aligned.tflite");
         let card = Card::parse(Path::new("right-aligned.card.json"), BUNDLED_CARD)
@@ -133,7 +133,7 @@ impl ModelFile {
         &self.card.name
     }
 
-    /// Returns a description of the training data. It mentions simulated data.
+    /// Returns a description of the training data. The description mentions simulated data.
     pub fn about(&self) -> &str {
         &self.card.about
     }
@@ -153,7 +153,7 @@ impl ModelFile {
 /// At least `needed` axes must exist, and missing ones are 0.
 ///
 /// # Errors
-/// [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.
+/// Returns [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.
 pub fn join(
     files: &[PathBuf],
     (axes, needed): (usize, usize),
@@ -203,7 +203,7 @@ pub fn join(
     })
 }
 
-/// A pause of at least this many intervals and this duration means that the sensor delivers nothing.
+/// A pause of at least this many intervals and this duration means that the sensor delivers no data.
 /// Shorter pauses, such as a few samples lost by a radio, are bridged.
 const SILENT_INTERVALS: f64 = 3.0;
 const SILENT_MS: f64 = 50.0;
@@ -227,17 +227,17 @@ fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
 pub struct Joined {
     /// At 100 Hz, from time 0.
     pub recording: Recording,
-    /// Ranges of samples that do not exist because the sensor delivered nothing.
+    /// Ranges of samples that are missing because the sensor delivered no data.
     pub silences: Vec<Range<usize>>,
     /// Notes about everything that was inferred, repaired or omitted while reading.
     pub notes: Vec<String>,
-    /// The first time in the first file, in ms.
+    /// The time of the first sample in the first file, in ms.
     pub start_ms: f64,
 }
 
 /// The board's code for any number of axes.
 trait AnyAxes: Send {
-    /// Processes the sample of `time_ms`, which has the axes of the model.
+    /// Processes the sample taken at `time_ms`, which has the axes of the model.
     fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
     /// Reports that there is no sample at this time.
     fn nothing(&mut self);
@@ -263,7 +263,7 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
 /// Plays a recording like the Nano 33 BLE Sense.
 pub struct RightBoard<'m> {
     recording: Recording,
-    /// Samples that do not exist, in order.
+    /// Ranges of missing samples, in order.
     silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,
@@ -275,7 +275,7 @@ impl<'m> RightBoard<'m> {
     /// Creates a board that starts at time 0 with a recording at 100 Hz.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the model cannot run here or the recording has other axes.
+    /// Returns [`ModelFileError`] if the model cannot run here or the recording has other axes.
     pub fn new(recording: Recording, model: &'m ModelFile, boot_id: u32) -> Result<Self, ModelFileError> {
         let name = || model.name().to_owned();
         let parsed = model.model()?;
@@ -304,7 +304,7 @@ impl<'m> RightBoard<'m> {
 }
 
 impl RightBoard<'_> {
-    /// Makes the sensor deliver nothing in these samples, so that they cause no state.
+    /// Removes these samples, as if the sensor delivered no data, so that they cause no state.
     #[must_use]
     pub fn silent_in(self, silences: Vec<Range<usize>>) -> Self {
         RightBoard { silences, ..self }

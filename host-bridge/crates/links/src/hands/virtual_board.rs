@@ -50,7 +50,7 @@ impl VirtualLeft {
         }
     }
 
-    /// Takes bytes from the laptop.
+    /// Processes bytes from the laptop.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
         wire.append(&mut self.begun);
         for &byte in bytes {
@@ -86,7 +86,7 @@ impl<H: Hand> VirtualRight<H> {
         VirtualRight { board, decoder: Decoder::new(), number: 0, last_status_ms: 0 }
     }
 
-    /// The sample of `time_ms`.
+    /// Processes the sample taken at `time_ms`.
     pub fn sample(&mut self, sample: &H::Sample, time_ms: u64, wire: &mut Vec<u8>) {
         if self.board.sample(sample, time_ms as u32, self.number) {
             self.board.send_due(&mut onto(wire));

@@ -1,12 +1,12 @@
 //! Connects to the right hand over Bluetooth Low Energy: finds it by its service and reconnects automatically.
 //!
 //! btleplug handles the system's Bluetooth (on Linux, BlueZ over D-Bus).
-//! Frames form a byte stream: notifications from the board, and writes to it.
+//! The frames form two byte streams: notifications from the board, and writes to the board.
 //! Writes are confirmed, and a board that requires a bonded link refuses the first one.
 //!
 //! Only boards that are bonded with this machine are connected. The system encrypts the link before the first byte.
 //! A device that merely advertises therefore cannot impersonate a board.
-//! With `allow_unbonded`, any device in range could do so; `Config::restriction` then limits the session.
+//! With `allow_unbonded`, any device in range could impersonate one; `Config::restriction` then limits the session.
 
 use std::cell::Cell;
 use std::future::Future;
@@ -255,7 +255,7 @@ impl<I: Copy> Radio<I> {
         Ok(why)
     }
 
-    /// Finds the requested board as soon as it is in range.
+    /// Finds the requested board as soon as the board is in range.
     async fn find(&self, adapter: &Adapter) -> Result<Seen, String> {
         scan(adapter).await?;
         let bonds = Bonds::open().await?;
@@ -363,7 +363,7 @@ fn unbonded(Seen { name, address, .. }: &Seen) -> String {
     )
 }
 
-/// The boards that this machine is bonded with, according to the system.
+/// Returns the boards that are bonded with this machine, according to the system.
 #[cfg(target_os = "linux")]
 struct Bonds(bluez_async::BluetoothSession);
 
@@ -418,7 +418,7 @@ impl Seen {
     }
 }
 
-/// Of several boards the highest one is taken: a bonded one however far, then the loudest.
+/// The board with the highest rank is chosen: bonded boards come first, then the strongest signal.
 fn rank(is_bonded: bool, rssi_dbm: Option<i16>) -> (bool, Option<i16>) {
     (is_bonded, rssi_dbm)
 }

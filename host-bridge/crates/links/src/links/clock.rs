@@ -1,10 +1,10 @@
 //! Clocks and timed waits.
 //!
 //! A thread waits for time only through its [`Waiter`].
-//! In the released program, this uses the machine's clock.
+//! In the released program, the waiter uses the machine's clock.
 //! With the feature `test-clock` (tests only), a test can control the time.
-//! The time then advances only when all waiters wait, so that board,
-//! wire and program share it at any load of the machine.
+//! The time then advances only when all waiters wait.
+//! Board, line and program therefore share the time at any load of the machine.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -29,18 +29,18 @@ pub trait Clock: Send + Sync {
 /// The time since this clock was created, based on the machine's time since boot.
 ///
 /// On Linux, `std::time::Instant` stops while the machine is suspended.
-/// After an hour of sleep, every hand would then look as recent as before.
+/// After an hour of sleep, every hand would then seem as recent as before.
 /// This clock continues during suspend, so a sleeping laptop is noticed like any other silence.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,
-    /// The test's clock, if it is used instead, and its time at creation.
+    /// The test's clock, if one is used instead, and its time at creation.
     #[cfg(feature = "test-clock")]
     test: Option<(&'static TestClock, u64)>,
 }
 
 impl SystemClock {
-    /// A clock that shows 0 now.
+    /// Creates a clock that shows 0 now.
     pub fn start() -> Self {
         SystemClock {
             start_ms: since_boot_ms(),
@@ -152,7 +152,7 @@ impl Waiter {
         usual
     }
 
-    /// Call this after a read of [`Waiter::patience`] without input.
+    /// Call this after a blocking read without input; [`Waiter::patience`] returns the time for such a read.
     pub fn pause(&self) {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {
@@ -179,7 +179,7 @@ impl Waiter {
 }
 
 /// Ends a thread's waits under a test's clock, so that the thread can be joined while time stands still.
-/// With the machine's clock, waits are short, and this does nothing.
+/// With the machine's clock, waits are short, so this function does nothing.
 #[derive(Clone, Debug)]
 pub struct Waker {
     #[cfg(feature = "test-clock")]
@@ -206,7 +206,7 @@ mod tests {
         use rustix::time::{ClockId, clock_gettime};
 
         // Both clocks start at boot, but only one of them continues during sleep.
-        // On a machine that never slept they are equal, so the test also checks the name of the clock.
+        // On a machine that has never slept, both are equal, so the test also checks the name of the clock.
         let awake = clock_gettime(ClockId::Monotonic);
         let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;
         assert!(since_boot_ms() >= awake_ms);

@@ -22,7 +22,7 @@ pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
 
-/// Returns whether this name (`ble` or `ble:NAME`) is a board behind Bluetooth.
+/// Returns whether this name (`ble` or `ble:NAME`) denotes a board behind Bluetooth.
 pub fn is_ble(port: &str) -> bool {
     port == "ble" || port.starts_with("ble:")
 }
@@ -33,9 +33,9 @@ pub fn is_serial_over_air(port: &str) -> bool {
     name.starts_with("rfcomm") || name.contains("HC-0") || name.to_lowercase().contains("bluetooth")
 }
 
-/// A link to a board of any kind. Dropping it closes it.
+/// A link to a board of any kind. Dropping the link closes it.
 pub enum Link {
-    /// A serial port of a USB-serial chip or of the board's own USB.
+    /// A serial port, either of a USB-serial chip or of the board's own USB.
     Serial(SerialLink),
     /// Bluetooth.
     #[cfg(feature = "ble")]
@@ -67,7 +67,7 @@ impl Link {
         }
     }
 
-    /// May bytes be sent now?
+    /// Returns whether bytes can be sent now.
     pub fn is_ready(&self) -> bool {
         match self {
             Link::Serial(link) => link.is_ready(),
@@ -105,6 +105,6 @@ pub enum News {
     /// Bytes, as they came.
     Bytes(Vec<u8>),
     /// The port cannot be opened or has failed, with the reason and a remedy.
-    /// This is reported once per reason, and the link keeps trying.
+    /// Each reason is reported only once, and the link keeps trying.
     Closed(String),
 }

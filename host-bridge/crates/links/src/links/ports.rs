@@ -13,7 +13,7 @@ pub struct PortAbout {
     pub is_usb: bool,
 }
 
-/// Returns the machine's serial ports sorted by name, or nothing if the system refuses.
+/// Returns the machine's serial ports sorted by name, or an empty list if the system refuses.
 pub fn ports() -> Vec<PortAbout> {
     let mut ports: Vec<_> = serialport::available_ports()
         .unwrap_or_default()

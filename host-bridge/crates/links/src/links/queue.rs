@@ -2,7 +2,7 @@
 //!
 //! A board that sends too much must not fill the memory or delay new bytes behind old ones.
 //! The queue therefore has a maximum size and drops the oldest bytes.
-//! This is harmless because every state is complete. Events about opened and closed ports are never dropped.
+//! This loss is harmless because every state is complete. Events about opened and closed ports are never dropped.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::RecvTimeoutError;
@@ -50,7 +50,7 @@ fn size<I>(event: &LinkEvent<I>) -> usize {
     if let News::Bytes(bytes) = &event.news { bytes.len() } else { 0 }
 }
 
-/// The sending end. Each link has its own.
+/// The sending side of the queue. Each link has its own.
 pub struct EventSender<I>(Arc<Shared<I>>);
 
 impl<I> EventSender<I> {
@@ -84,7 +84,7 @@ impl<I> Drop for EventSender<I> {
     }
 }
 
-/// The receiving end, used by the control thread.
+/// The receiving side of the queue, used by the control thread.
 pub struct EventReceiver<I>(Arc<Shared<I>>);
 
 impl<I> EventReceiver<I> {

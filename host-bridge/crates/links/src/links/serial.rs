@@ -27,7 +27,7 @@ const BOOTLOADER_SILENT_MS: u64 = 300;
 /// How a port is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SerialSettings {
-    /// Speed of the line. A board on native USB ignores it.
+    /// Speed of the line. A board on native USB ignores the speed.
     pub baud: u32,
     /// Nothing is sent for this long after the port was opened, unless the board sends first.
     pub settle_ms: u64,
@@ -36,13 +36,13 @@ pub struct SerialSettings {
 }
 
 impl Default for SerialSettings {
-    /// The boards' 115200 baud, and the maximum time of an old Nano bootloader.
+    /// The boards' 115200 baud, and the maximum waiting time of an old Nano bootloader.
     fn default() -> Self {
         SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false }
     }
 }
 
-/// The sending end, and the known state of the other side.
+/// The sending side, and the known state of the board.
 #[derive(Default)]
 struct Sending {
     port: Option<Box<dyn SerialPort>>,

@@ -1,8 +1,8 @@
 //! A clock that a test controls through the socket in `BIMANUAL_TEST_CLOCK`.
-//! The test sends the time in milliseconds, and receives one byte when every participating thread waits
-//! for a later time.
+//! The test sends the time in milliseconds.
+//! The test receives one byte when every participating thread waits for a later time.
 //!
-//! This exists only with the feature `test-clock`, which no released program has.
+//! This clock exists only with the feature `test-clock`, which no released program has.
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::UnixStream;
@@ -33,7 +33,7 @@ struct State {
 #[derive(Debug)]
 struct Sitter {
     number: u64,
-    /// The thread waits for this time. If it has passed, the thread counts as busy.
+    /// The thread waits for this time, and counts as busy after it.
     until_ms: u64,
     /// The thread no longer waits.
     rung: bool,
@@ -124,7 +124,7 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// Waits until this much time has passed, at least a millisecond.
+    /// Waits until this much time has passed, but at least for a millisecond.
     pub fn sleep(&self, time: Duration) {
         let until_ms = self.clock.now_ms() + (time.as_millis() as u64).max(1);
         self.wait(until_ms);

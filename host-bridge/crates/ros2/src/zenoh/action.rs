@@ -1,4 +1,4 @@
-//! An action's client on Zenoh: three services that are asked, two topics that are read.
+//! An action's client on Zenoh, which calls three services and reads two topics.
 
 use std::time::{Duration, Instant};
 
@@ -19,14 +19,14 @@ use crate::advice::Probe;
 use crate::transport::Sent;
 use crate::zenoh_keys::{Attached, Entity, Named, Node, Quality};
 
-/// The time to wait for an answer; the bridge gives up goals sooner.
+/// The time to wait for an answer; the bridge abandons goals sooner.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// No goal runs for longer than this.
+/// Maximum duration of a goal.
 const RESULT_PATIENCE: Duration = Duration::from_secs(600);
-/// A goal that has not left after this time never goes: by then the bridge asks for its end.
+/// A goal that has not been sent after this time is dropped, because by then the bridge requests its end.
 const GOAL_WAITS: Duration = Duration::from_millis(500);
 
-/// A goal of ours, also one that is over.
+/// A goal of ours, which may already be over.
 struct Goal {
     ours: u32,
     id: GoalId,
@@ -35,7 +35,7 @@ struct Goal {
 /// See the module.
 pub struct Client {
     which: Which,
-    /// Where requests go.
+    /// The outbox for requests.
     domain: u16,
     send_goal: Named,
     get_result: Named,
@@ -45,7 +45,7 @@ pub struct Client {
     inbox: Inbox,
     outbox: Outbox,
     goals: Vec<Goal>,
-    /// More are not remembered.
+    /// Maximum number of goals that are remembered.
     most: usize,
     requests: i64,
     probe: Probe,
@@ -53,7 +53,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client of the action of this name, a type of `control_msgs`. What another one of its kind read is read no longer.
+    /// Creates a client for this action of `control_msgs`. Subscriptions of earlier clients of this kind end.
     pub fn new(
         which: Which,
         name: &str,
@@ -112,7 +112,7 @@ impl Client {
         })
     }
 
-    /// Sends a goal; whether it could be handed over.
+    /// Sends a goal. Returns whether the goal was accepted for sending.
     pub fn send(&mut self, ours: u32, goal: &impl Serialize) -> bool {
         let id = UUID::new_random();
         let sent = self.request(|client| &client.send_goal, &(id, goal), Asked::Goal(self.which, id));
@@ -126,7 +126,7 @@ impl Client {
         sent
     }
 
-    /// Asks for a goal's end; whether that could be handed over. A goal that has not left yet never does.
+    /// Requests the end of a goal. Returns whether the request was accepted. A goal that was not sent yet is dropped.
     pub fn cancel(&mut self, ours: u32) -> Sent {
         let Some(id) = self.goals.iter().find(|goal| goal.ours == ours).map(|goal| goal.id) else {
             return Sent::No;
@@ -136,11 +136,11 @@ impl Client {
     }
 
     fn request_end(&mut self, id: GoalId, about: Asked) -> Sent {
-        // A goal's number with no time: that one alone.
+        // A goal's number without a time selects that goal alone.
         self.request(|client| &client.cancel_goal, &(id, ros::Time::default()), about)
     }
 
-    /// Asks once for the end of a goal that nobody has.
+    /// Requests once the end of a goal that does not exist.
     pub fn ask(&mut self) {
         if self.probe == Probe::NotSent
             && self.request_end(UUID::new_random(), Asked::Probe(self.which)) != Sent::No
@@ -149,12 +149,12 @@ impl Client {
         }
     }
 
-    /// What came of that so far.
+    /// Returns the result of that request so far.
     pub fn probe(&self) -> Probe {
         self.probe
     }
 
-    /// How many goals run on the server that are not ours.
+    /// Returns the number of active goals on the server that are not ours.
     pub fn foreign(&self) -> usize {
         self.foreign
     }
@@ -163,7 +163,7 @@ impl Client {
         self.goals.iter().find(|goal| goal.id == id).map(|goal| goal.ours)
     }
 
-    /// Everything that has come in: our number of the goal, and what was said of it.
+    /// Returns all answers, each with our number of the goal.
     pub fn said<R: DeserializeOwned, F: DeserializeOwned>(&mut self) -> Vec<(u32, Said<R, F>)> {
         let (mut said, mut ends) = (Vec::new(), Vec::new());
         for (about, bytes) in self.inbox.take_answers(self.which) {
@@ -175,7 +175,7 @@ impl Client {
                             self.request(|client| &client.get_result, &id, Asked::Result(self.which, id));
                             said.push((ours, Said::Accepted));
                         }
-                        // Kept: after a forged word another may accept it yet.
+                        // The goal is kept, because after a forged answer, another server may still accept it.
                         Some((false, _)) => said.push((ours, Said::Rejected)),
                         None => {}
                     }
@@ -188,7 +188,7 @@ impl Client {
                     }
                 }
                 Asked::Probe(_) => self.probe = Probe::Answered,
-                // The result says what became of it.
+                // The goal's own result shows whether the cancellation succeeded.
                 Asked::Cancel(_) | Asked::History(_) => {}
             }
         }
@@ -207,7 +207,7 @@ impl Client {
     }
 }
 
-/// What an action's server says of all its goals.
+/// The status of all goals, as reported by an action's server.
 pub fn status(name: &str) -> Named {
     Named::new(&format!("{name}/_action/status"), "action_msgs/msg/GoalStatusArray")
 }

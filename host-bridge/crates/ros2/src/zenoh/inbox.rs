@@ -1,4 +1,4 @@
-//! What comes in: Zenoh's threads read and keep it, bounded, until the node takes it.
+//! The inbox: Zenoh's threads read messages and store a limited number of them until the node takes them.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,9 +13,9 @@ use zenoh::sample::Sample;
 use crate::transport::ToldState;
 use crate::zenoh_keys::Attached;
 
-/// More of what came is not kept: the oldest goes.
+/// Maximum number of stored messages; the oldest one is dropped.
 const KEPT_MAX: usize = 512;
-/// More writers of flags are not told apart.
+/// Maximum number of writers of flags that are distinguished.
 const WRITERS_MAX: usize = 64;
 
 /// An action.
@@ -32,7 +32,7 @@ pub enum Which {
 pub enum Read {
     /// A simulation's time.
     Clock,
-    /// E-stop or fault flag of this number.
+    /// The e-stop or fault flag with this number.
     Flag(usize),
     /// Angles.
     Arm,
@@ -40,24 +40,24 @@ pub enum Read {
     Base,
     /// The arm's controller.
     Controller,
-    /// What an action's server says of all goals.
+    /// The status of all goals on an action's server.
     Status(Which),
-    /// How far its goals are.
+    /// The progress of a server's goals.
     Feedback(Which),
 }
 
-/// What a request was for.
+/// The purpose of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked {
     /// A goal of ours.
     Goal(Which, GoalId),
-    /// How a goal of ours ended.
+    /// The result of a goal of ours.
     Result(Which, GoalId),
     /// The end of a goal.
     Cancel(Which),
-    /// The end of a goal that nobody has.
+    /// Requests the end of a goal that does not exist.
     Probe(Which),
-    /// What a topic's writers have kept.
+    /// The stored messages of a topic's writers.
     History(Read),
 }
 
@@ -75,22 +75,22 @@ pub enum Word {
     Controller(Box<ToldState>),
 }
 
-/// What came from an action's server.
+/// An answer of an action's server.
 #[derive(Default)]
 struct FromServer {
     answers: VecDeque<(Asked, Vec<u8>)>,
-    /// How far goals are.
+    /// The progress of the goals.
     progress: VecDeque<Vec<u8>>,
-    /// The last word on all goals.
+    /// The newest status of all goals.
     status: Option<GoalStatusArray>,
 }
 
 #[derive(Default)]
 struct Kept {
-    /// With who wrote it.
+    /// The message, with its writer.
     words: VecDeque<(Word, [u8; 16])>,
     servers: [FromServer; 2],
-    /// Of what is kept for whoever comes late: what is older than what was heard already is not heard.
+    /// A stored message for late subscribers is ignored if it is older than a message that already arrived.
     newest: BTreeMap<(Read, [u8; 16]), i64>,
 }
 
@@ -98,7 +98,7 @@ struct Kept {
 #[derive(Clone, Default)]
 pub struct Inbox {
     kept: Arc<Mutex<Kept>>,
-    /// Whoever was heard last names what is attached, as Jazzy does.
+    /// Whether the newest message's attachment contains the names of its values, as in Jazzy.
     pub is_labelled: Arc<AtomicBool>,
 }
 
@@ -114,7 +114,7 @@ impl Inbox {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Keeps a message; what cannot be read is dropped.
+    /// Stores a message; one that cannot be read is dropped.
     pub fn hear(&self, read: Read, sample: &Sample) {
         let Some(attachment) = sample.attachment() else { return };
         let Some((attached, labelled)) = Attached::read(&attachment.to_bytes()) else { return };
@@ -122,7 +122,7 @@ impl Inbox {
         self.take_in(read, &attached, &sample.payload().to_bytes());
     }
 
-    /// The same of bytes.
+    /// Stores a message that is given as bytes.
     fn take_in(&self, read: Read, attached: &Attached, bytes: &[u8]) {
         let mut kept = self.lock();
         if matches!(read, Read::Flag(_) | Read::Status(_)) {
@@ -156,7 +156,7 @@ impl Inbox {
         }
     }
 
-    /// Keeps an answer.
+    /// Stores an answer to a request.
     pub fn answer(&self, about: Asked, sample: &Sample) {
         let which = match about {
             Asked::History(read) => return self.hear(read, sample),
@@ -168,27 +168,27 @@ impl Inbox {
         keep(&mut self.lock().servers[which as usize].answers, (about, bytes));
     }
 
-    /// What was heard since the last call.
+    /// Returns the messages received since the last call.
     pub fn take_words(&self) -> VecDeque<(Word, [u8; 16])> {
         std::mem::take(&mut self.lock().words)
     }
 
-    /// What an action's server answered since the last call.
+    /// Returns the answers of an action's server since the last call.
     pub fn take_answers(&self, which: Which) -> VecDeque<(Asked, Vec<u8>)> {
         std::mem::take(&mut self.lock().servers[which as usize].answers)
     }
 
-    /// How far its goals have come since the last call.
+    /// Returns the progress of its goals since the last call.
     pub fn take_progress(&self, which: Which) -> VecDeque<Vec<u8>> {
         std::mem::take(&mut self.lock().servers[which as usize].progress)
     }
 
-    /// Its last word on all goals, if there was one since the last call.
+    /// Returns the newest status of all goals, if one has arrived since the last call.
     pub fn take_status(&self, which: Which) -> Option<GoalStatusArray> {
         self.lock().servers[which as usize].status.take()
     }
 
-    /// What came from another server of this action is of no use.
+    /// An answer from another server of this action is useless.
     pub fn forget(&self, which: Which) {
         let mut kept = self.lock();
         kept.servers[which as usize] = FromServer::default();
@@ -212,7 +212,7 @@ mod tests {
             inbox.take_in(Read::Flag(0), &said(number, writer), &encode(&ros::Bool { data }));
         };
         flag(5, 1, true);
-        // What was asked for when the subscription began comes after what was said since.
+        // Stored messages that were requested at the start of the subscription may arrive after newer ones.
         flag(4, 1, false);
         flag(5, 1, false);
         flag(1, 2, false);
@@ -252,7 +252,7 @@ mod tests {
         inbox.take_in(Read::Status(Which::Gripper), &said(9, 1), &list);
         inbox.forget(Which::Gripper);
         assert!(inbox.take_status(Which::Gripper).is_none());
-        // A writer that begins again is heard.
+        // Messages of a writer that restarts are accepted.
         inbox.take_in(Read::Status(Which::Gripper), &said(1, 1), &list);
         assert!(inbox.take_status(Which::Gripper).is_some());
     }

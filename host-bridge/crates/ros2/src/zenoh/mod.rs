@@ -1,5 +1,5 @@
-//! The node on Zenoh, with names as rmw_zenoh has them: a session through a router, in which topics are read and written
-//! and actions are asked. Needs the feature `zenoh`.
+//! The node on Zenoh, with names as in rmw_zenoh.
+//! A session through a router reads and writes topics and calls actions. This module needs the feature `zenoh`.
 
 mod action;
 mod inbox;
@@ -34,20 +34,20 @@ use waiting::{Ask, Order, Place};
 
 pub use open::open;
 
-/// More tokens of others are not kept.
+/// Maximum number of stored tokens of others.
 const TOKENS_MAX: usize = 8192;
-/// More goals of the gripper are not remembered.
+/// Maximum number of the gripper's goals that are remembered.
 const GRIPS_MAX: usize = 16;
-/// The time to wait for what a topic's writers keep.
+/// The time to wait for the stored messages of a topic's writers.
 const HISTORY_PATIENCE: Duration = Duration::from_secs(10);
 
-/// Who writes with what is said by this token: rmw_zenoh's identity of an end.
+/// Returns the writer that this token announces, as rmw_zenoh's identity of an end point.
 fn writer_of(token: &str) -> [u8; 16] {
-    // The low half first, each half as the machine has it.
+    // The low half comes first, and each half has the machine's byte order.
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }
 
-/// What somebody's token says, and the identity of who said so.
+/// The content of a participant's token, and the identity of its sender.
 struct Known {
     told: Told,
     writer: [u8; 16],
@@ -64,11 +64,11 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The gripper that is asked.
+/// The gripper that is used.
 struct Gripper {
     meant: Meant,
     joint: String,
-    /// Its name and kind, and how it is asked.
+    /// The gripper's name, kind and client.
     server: Option<(String, usize, Client)>,
 }
 
@@ -83,12 +83,12 @@ struct ZenohNode {
     quality: Quality,
     is_stamped: bool,
     way: ArmWay,
-    /// Who moves the arm.
+    /// The controller that moves the arm.
     controller: String,
-    /// Where it is asked by goals.
+    /// The action client, if goals are used.
     arm: Option<Client>,
     gripper: Option<Gripper>,
-    /// Topics whose writers keep their last word, and the writers that were asked for it.
+    /// Topics whose writers store their last message, and the writers that were already asked for it.
     latched: Vec<(Read, Named)>,
     asked: BTreeSet<String>,
 }
@@ -104,7 +104,7 @@ impl ZenohNode {
         self.outbox.order(Order::Write(self.speed_place(), self.speed.clone(), self.quality));
     }
 
-    /// Whose session an end belongs to: by its identity, or because nobody else writes that topic.
+    /// Returns the session of an end point, from its identity or because only one session writes that topic.
     fn session_of(&self, writer: [u8; 16], read: Read) -> String {
         let tokens = lock(&self.tokens);
         let publishers = || tokens.values().filter(|known| known.told.entity == Entity::Publisher);
@@ -122,7 +122,7 @@ impl ZenohNode {
         }
     }
 
-    /// Asks writers that were not there before for what they keep.
+    /// Asks newly discovered writers for their stored messages.
     fn ask_for_history(&mut self) {
         let tokens = lock(&self.tokens);
         self.asked.retain(|token| tokens.contains_key(token));
@@ -223,7 +223,7 @@ impl Transport for ZenohNode {
     }
 
     fn look_for_server(&mut self, graph: &Graph) -> Result<bool, NodeError> {
-        // Of two servers both would take every goal.
+        // Two servers would both accept every goal.
         Ok(self.arm.is_some() && follow::servers(graph, &self.controller).len() == 1)
     }
 

@@ -1,4 +1,4 @@
-//! Joins the graph on Zenoh: a session, what is read, written and asked in it, and the tokens that say so.
+//! Joins the graph on Zenoh: opens a session, creates subscriptions, publishers and clients, and declares tokens.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,13 +18,13 @@ use crate::grip::Meant;
 use crate::transport::{ArmWay, NodeError, Opened};
 use crate::zenoh_keys::{Named, Node, Quality, read_token, tokens_of};
 
-/// More goals of the arm are not remembered.
+/// Maximum number of the arm's goals that are remembered.
 const GOALS_MAX: usize = 64;
 
-/// A link on which nothing arrives for this long is closed, in ms. With what a closed link had taken over messages are
-/// lost; TCP brings them even after many lost packets. As rmw_zenoh has it, and docs/zenoh.
+/// A link without any data for this long is closed, in ms. Messages that the closed link had accepted are lost.
+/// TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
-/// So is one that takes nothing for this long, in µs. No stop waits for it: base and arm have their own timeouts.
+/// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
 const PATIENCE_US: &str = "60000000";
 
 /// Zenoh's own configuration.
@@ -52,7 +52,7 @@ fn configuration(config: &Ros2Config, connection: &Connection) -> Result<Config,
 /// Joins the graph through a router.
 ///
 /// # Errors
-/// [`NodeError`]: no router answers, or a name cannot be had.
+/// Returns [`NodeError`] if no router answers, or a name is not available.
 pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> Result<Opened, NodeError> {
     let session = zenoh::open(configuration(config, connection)?).wait().map_err(|error| {
         NodeError(format!(
@@ -101,7 +101,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     };
     let topic = |name: &str, kind: &str| Named::new(&config.resolve(name), kind);
 
-    // What is read; an action's client reads its own.
+    // Creates the subscriptions; an action's client creates its own.
     let mut read = vec![(Read::Clock, topic("/clock", "rosgraph_msgs/msg/Clock"))];
     if !publish_sim {
         read.push((Read::Base, topic(&config.odom, "nav_msgs/msg/Odometry")));
@@ -133,7 +133,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     let here = session.liveliness().declare_token(node.token()).wait();
     let here = here.map_err(|error| failed("saying who is there", error))?;
 
-    // Whoever drops these may wait for the network: the threads of the outbox do.
+    // Dropping these values may wait for the network, so only the outbox's threads drop them.
     let held = Box::new((readers, here, watches));
     let outbox = Outbox::start(session.clone(), &node, &inbox, held)?;
     let arm = (way == ArmWay::Action).then(|| {
@@ -141,7 +141,7 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
         Client::new(Which::Arm, &follow, "FollowJointTrajectory", GOALS_MAX, &node, ends)
     });
 
-    // What is written.
+    // Creates the publishers.
     let write = |place, named, quality| outbox.order(Order::Write(place, named, quality));
     let is_stamped = config.stamped.fixed().unwrap_or(true);
     let speed = topic(&config.cmd_vel, "geometry_msgs/msg/TwistStamped");

@@ -1,5 +1,5 @@
-//! What is sent: each lane has a thread that hands it to Zenoh. Nobody who decides ever waits for a network that stands
-//! still; the threads do (congestion control "block"), and meanwhile a newer speed takes the place of the one that waits.
+//! The outbox: each lane has a thread that passes messages to Zenoh. The control thread never waits for the network.
+//! Only the lanes' threads wait (congestion control "block"). Meanwhile, a newer speed replaces the one that waits.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -19,11 +19,11 @@ use super::writer_of;
 use crate::transport::{NodeError, Sent, Unsent};
 use crate::zenoh_keys::{Attached, Entity, Named, Node, Quality};
 
-/// Whoever ends waits so long for what was put in last, a zero speed say.
+/// At the end, the program waits this long for the last messages, such as a zero speed.
 const LAST_WORDS: Duration = Duration::from_millis(300);
 
 impl Lane {
-    /// Its queue in Zenoh, and what happens when that is full.
+    /// The lane's queue in Zenoh, and the behaviour if it is full.
     fn quality(self) -> (Priority, CongestionControl) {
         match self {
             Lane::Requests => (Priority::RealTime, CongestionControl::Block),
@@ -47,7 +47,7 @@ impl Lane {
 struct Shared {
     waiting: Mutex<Waiting>,
     came: Condvar,
-    /// What Zenoh did not take after all.
+    /// Counts of messages that Zenoh did not accept.
     failed: AtomicU64,
 }
 
@@ -57,7 +57,7 @@ impl Shared {
     }
 }
 
-/// The end that puts in. With the last of its copies the threads end, and the session with them.
+/// The sending side. When its last copy is dropped, the threads end, and so does the session.
 #[derive(Clone)]
 pub struct Outbox {
     end: Arc<End>,
@@ -65,7 +65,7 @@ pub struct Outbox {
 
 struct End {
     lanes: [Arc<Shared>; 4],
-    /// Hears when the last thread has ended.
+    /// Receives a signal when the last thread has ended.
     ended: Mutex<Receiver<()>>,
     ids: AtomicU32,
 }
@@ -76,13 +76,13 @@ impl Drop for End {
             lane.lock().has_ended = true;
             lane.came.notify_all();
         }
-        // Closed when the last thread lets go of its end of the channel.
+        // The channel is closed when the last thread drops its side.
         let ended = self.ended.get_mut().unwrap_or_else(PoisonError::into_inner);
         let _ = ended.recv_timeout(LAST_WORDS);
     }
 }
 
-/// The session, with what is read and said as long as it lasts: the last lane that ends closes it.
+/// The session with its subscriptions and tokens, which the last lane to end closes.
 struct Held {
     session: Session,
     _read_and_said: Box<dyn Send + Sync>,
@@ -90,7 +90,7 @@ struct Held {
 
 impl Drop for Held {
     fn drop(&mut self) {
-        // What goes wrong with a session that ends is nobody's concern.
+        // Errors of a session that ends are irrelevant.
         let _ = self.session.close().wait();
     }
 }
@@ -99,7 +99,7 @@ impl Outbox {
     /// Starts the threads; `held` is dropped when the last one ends.
     ///
     /// # Errors
-    /// The system has no thread.
+    /// Fails if the system cannot start a thread.
     pub fn start(
         session: Session,
         node: &Node,
@@ -128,7 +128,7 @@ impl Outbox {
                 .spawn(move || {
                     courier.run();
                     let (held, ended): (Arc<Held>, std::sync::mpsc::Sender<()>) = last;
-                    // In this order: whoever hears of the end may end the process.
+                    // The order matters: after the signal, the process may end.
                     drop(held);
                     drop(ended);
                 })
@@ -141,19 +141,19 @@ impl Outbox {
         &self.end.lanes[lane as usize]
     }
 
-    /// A number for an end, which no other end has.
+    /// Returns a number for an end point that no other end point has.
     pub fn id(&self) -> u32 {
         self.end.ids.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Carries this out when its turn comes.
+    /// Carries this order out in its turn.
     pub fn order(&self, order: Order) {
         let lane = self.lane(order.lane());
         lane.lock().order(order);
         lane.came.notify_all();
     }
 
-    /// Puts a message in the place of an older one, if one still waits.
+    /// Adds a message, which replaces an older one that still waits.
     pub fn put(&self, place: Place, message: Vec<u8>) -> Sent {
         let lane = self.lane(place.lane());
         let replaces = lane.lock().put(place, message);
@@ -161,7 +161,7 @@ impl Outbox {
         if replaces { Sent::Instead } else { Sent::Yes }
     }
 
-    /// Asks, if not too many requests wait.
+    /// Adds a request, unless too many requests wait.
     pub fn ask(&self, ask: Ask) -> Sent {
         let lane = self.lane(Lane::Requests);
         let taken = lane.lock().ask(ask);
@@ -169,29 +169,29 @@ impl Outbox {
         taken
     }
 
-    /// A request that still waits is not sent.
+    /// Drops a request that still waits.
     pub fn withdraw(&self, about: Asked) {
         self.lane(Lane::Requests).lock().withdraw(about);
     }
 
-    /// What was put in, and was not sent after all since the last call.
+    /// Returns the counts of messages that were accepted but not sent since the last call.
     pub fn take_unsent(&self) -> Unsent {
         let failed = self.end.lanes.iter().map(|lane| lane.failed.swap(0, Ordering::Relaxed)).sum();
         Unsent { withdrawn: self.lane(Lane::Requests).lock().take_withdrawn(), failed }
     }
 }
 
-/// Numbers of ends that are given by [`Outbox::id`], and by the threads themselves; below are those of the beginning.
+/// Numbers of end points created by [`Outbox::id`] or by the threads themselves; lower numbers belong to the start.
 const CALLERS_IDS: u32 = 1000;
 const COURIERS_IDS: u32 = 1_000_000;
 
-/// A topic that is read, and the token that says so.
+/// A subscription to a topic, and the token that announces it.
 pub type Reader = (Subscriber<()>, LivelinessToken);
 
-/// Reads a topic from now on.
+/// Subscribes to a topic from now on.
 ///
 /// # Errors
-/// The session is over, or its name is none.
+/// Fails if the session is over, or the name is invalid.
 pub fn listen(
     session: &Session,
     node: &Node,
@@ -210,13 +210,13 @@ pub fn listen(
 
 struct Writer {
     publisher: Publisher<'static>,
-    /// Says that it is there.
+    /// Announces the subscription by a token.
     _token: LivelinessToken,
     writer: [u8; 16],
     number: i64,
 }
 
-/// A lane's thread.
+/// Runs the thread of a lane.
 struct Courier {
     lane: Lane,
     session: Session,
@@ -287,7 +287,7 @@ impl Courier {
             .declare_publisher(named.key(self.node.domain))
             .congestion_control(congestion)
             .priority(priority)
-            // One message at a time: what waits here can still be replaced, what waits in Zenoh cannot.
+            // Only one message is passed on at a time, because a message in Zenoh can no longer be replaced.
             .express(true)
             .wait()?;
         let writer = writer_of(&token);
@@ -323,7 +323,7 @@ impl Courier {
                 .target(QueryTarget::AllComplete)
                 .payload(payload)
                 .attachment(attached.bytes(self.inbox.is_labelled.load(Ordering::Relaxed))),
-            // What a writer kept for whoever comes late has the topic's own key.
+            // A writer's stored message for late subscribers has the topic's own key.
             None => get.target(QueryTarget::All).accept_replies(ReplyKeyExpr::Any),
         };
         get.callback(move |reply| {

@@ -1,4 +1,4 @@
-//! What the program says on Zenoh beside its commands.
+//! The data other than commands that the program publishes on Zenoh.
 
 use host_topics::cdr::encode;
 use host_topics::message as ros;
@@ -7,14 +7,14 @@ use super::outbox::Outbox;
 use super::waiting::{Order, Place};
 use crate::transport::{Sent, Voice};
 
-/// A description is told again after this many states of the simulator: whoever comes late reads that.
+/// The description is published again after this many states of the simulator, for late subscribers.
 const DESCRIBED_EVERY: u32 = 50;
 
 /// See the module.
 pub struct ZenohVoice {
     /// Where it goes.
     pub outbox: Outbox,
-    /// The simulator's state goes out.
+    /// Whether the simulator's state is published.
     pub has_simulator: bool,
     /// States told.
     pub states: u32,

@@ -1,5 +1,5 @@
-//! What waits to be sent, lane by lane. Of each kind of message only the newest waits; of requests at most [`ASKS_MAX`],
-//! and of cancellations one per goal, which are never refused. Sans-IO.
+//! Messages that wait to be sent, lane by lane. Sans-IO.
+//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait. Cancellations (one per goal) always wait.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -8,27 +8,27 @@ use super::inbox::{Asked, Read, Which};
 use crate::transport::Sent;
 use crate::zenoh_keys::{Attached, Named, Quality};
 
-/// More requests do not wait.
+/// Maximum number of requests that wait.
 const ASKS_MAX: usize = 32;
-/// More cancellations cannot wait: so many goals are not remembered.
+/// Maximum number of waiting cancellations, which is also the number of goals that are remembered.
 const CANCELS_MAX: usize = 256;
 
-/// What waits for the network apart from the others: each lane has its own thread and its own queue in Zenoh, so that
-/// none holds up another one.
+/// The lanes wait for the network independently, so that no lane delays another one.
+/// Each lane has its own thread and its own queue in Zenoh.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lane {
-    /// Cancellations first, then the operator's stop, goals and other requests.
+    /// Cancellations come first, followed by the operator's stop, goals and other requests.
     Requests,
-    /// The arm's trajectories, with the one that stops it.
+    /// The arm's trajectories, including the one that stops the arm.
     Arm,
-    /// The base's speeds, with the zero that stops it.
+    /// The base's speeds, including the zero that stops the base.
     Base,
-    /// The rest, which a slow network drops.
+    /// All other messages, which are dropped on a slow network.
     Rest,
 }
 
 impl Lane {
-    /// All of them, the most urgent first.
+    /// All lanes, with the most urgent one first.
     pub const ALL: [Lane; 4] = [Lane::Requests, Lane::Arm, Lane::Base, Lane::Rest];
 }
 
@@ -37,7 +37,7 @@ impl Lane {
 pub enum Place {
     /// The base's speed with a stamp.
     SpeedStamped,
-    /// The same without.
+    /// The same speed without a stamp.
     SpeedPlain,
     /// A trajectory, or a piece of one.
     Trajectory,
@@ -56,7 +56,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// Where its messages wait.
+    /// Returns the lane of its messages.
     pub fn lane(self) -> Lane {
         match self {
             Place::SpeedStamped | Place::SpeedPlain => Lane::Base,
@@ -77,42 +77,42 @@ pub struct Ask {
     pub key: String,
     /// CDR, or nothing.
     pub payload: Vec<u8>,
-    /// What is attached, if anything.
+    /// The attachment, if there is one.
     pub attached: Option<Attached>,
-    /// What the answer is about.
+    /// The purpose of the answer.
     pub about: Asked,
-    /// No answer comes later than this.
+    /// The maximum time to wait for the answer.
     pub patience: Duration,
-    /// If it has not left by then, it never does.
+    /// A request that has not been sent by this time is dropped.
     pub until: Option<Instant>,
 }
 
-/// A change of what is written, read and said.
+/// A change of the publishers, subscriptions and tokens.
 pub enum Order {
-    /// A topic is written from now on.
+    /// A topic will be published from now on.
     Write(Place, Named, Quality),
-    /// It is not any more.
+    /// The topic is no longer published.
     Unwrite(Place),
-    /// A topic is read from now on.
+    /// A topic will be read from now on.
     Read(Read, Named, Quality),
     /// A token of an action's client.
     Say(Which, String),
-    /// An action's server is another one: nothing of it is read or said any more.
+    /// The action's server has changed: subscriptions and tokens for the old one end.
     Forget(Which),
 }
 
 impl Order {
-    /// Who carries it out.
+    /// The lane that carries this out.
     pub fn lane(&self) -> Lane {
         match self {
             Order::Write(place, ..) | Order::Unwrite(place) => place.lane(),
-            // Before the first goal to that server.
+            // This order comes before the first goal to that server.
             Order::Read(..) | Order::Say(..) | Order::Forget(..) => Lane::Requests,
         }
     }
 }
 
-/// What there is to do.
+/// The next task of a lane's thread.
 pub enum Job {
     /// Publishes this.
     Put(Place, Vec<u8>),
@@ -130,12 +130,12 @@ pub struct Waiting {
     asks: VecDeque<Ask>,
     orders: VecDeque<Order>,
     withdrawn: u64,
-    /// Nobody puts anything in any more.
+    /// No further messages will be added.
     pub has_ended: bool,
 }
 
 impl Waiting {
-    /// An order waits for its turn.
+    /// Adds an order, which waits for its turn.
     pub fn order(&mut self, order: Order) {
         if let Order::Unwrite(place) = order {
             self.newest.remove(&place);
@@ -143,12 +143,12 @@ impl Waiting {
         self.orders.push_back(order);
     }
 
-    /// A message takes the place of an older one, if one still waits; returns whether one did.
+    /// Adds a message, which replaces an older one that still waits. Returns whether it replaced one.
     pub fn put(&mut self, place: Place, message: Vec<u8>) -> bool {
         self.newest.insert(place, message).is_some()
     }
 
-    /// A request waits for its turn, if not too many do. The same cancellation waits once.
+    /// Adds a request, unless too many wait. The same cancellation waits only once.
     pub fn ask(&mut self, ask: Ask) -> Sent {
         let (line, most) = match ask.about {
             Asked::Cancel(_) => (&mut self.cancels, CANCELS_MAX),
@@ -165,25 +165,25 @@ impl Waiting {
         Sent::Yes
     }
 
-    /// A request is of no use any more.
+    /// Drops a request that is no longer useful.
     pub fn withdraw(&mut self, about: Asked) {
         self.keep(|ask| ask.about != about);
     }
 
-    /// Keeps only these requests.
+    /// Keeps only the requests that satisfy this condition.
     fn keep(&mut self, is_kept: impl Fn(&Ask) -> bool) {
         let before = self.asks.len();
         self.asks.retain(is_kept);
         self.withdrawn += (before - self.asks.len()) as u64;
     }
 
-    /// How many requests were withdrawn or became too old since the last call.
+    /// Returns the number of requests that were withdrawn or became too old since the last call.
     pub fn take_withdrawn(&mut self) -> u64 {
         std::mem::take(&mut self.withdrawn)
     }
 
-    /// What goes next: orders, cancellations, messages, other requests. (A cancellation never overtakes its goal: a goal
-    /// that still waits is withdrawn first.)
+    /// Returns the next task: orders, cancellations, messages, requests.
+    /// (A cancellation never overtakes its goal: a goal that still waits is withdrawn first.)
     pub fn next(&mut self, now: Instant) -> Option<Job> {
         if let Some(order) = self.orders.pop_front() {
             return Some(Job::Order(order));
@@ -209,12 +209,12 @@ mod tests {
         Ask { key: String::new(), payload: Vec::new(), attached: None, about, patience, until }
     }
 
-    /// The cancellation of the goal of this number.
+    /// Creates the cancellation of the goal with this number.
     fn cancel(goal: u8) -> Ask {
         Ask { payload: vec![goal], ..ask(Asked::Cancel(Which::Arm), None) }
     }
 
-    /// What goes next, in a word.
+    /// Describes the next task in one word.
     fn next(waiting: &mut Waiting, now: Instant) -> Option<String> {
         waiting.next(now).map(|job| match job {
             Job::Put(place, message) => format!("{place:?} {message:?}"),
@@ -234,7 +234,7 @@ mod tests {
         assert!(waiting.put(Place::SpeedStamped, vec![0]), "the one before was never sent");
         assert_eq!(next(&mut waiting, now).as_deref(), Some("SpeedStamped [0]"));
         assert_eq!(next(&mut waiting, now), None);
-        // The place is free again.
+        // The place is free for another request.
         assert!(!waiting.put(Place::SpeedStamped, vec![3]));
     }
 

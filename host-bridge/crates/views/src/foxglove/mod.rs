@@ -5,7 +5,7 @@
 //! session loop ─► Teller ─► Feed ══ a bounded queue per viewer ══► a thread per viewer ─► Foxglove
 //! ```
 //!
-//! * `protocol`: the messages, without sockets,
+//! * `protocol`: the protocol's messages, without sockets,
 //! * `viewer`: the connection of one viewer.
 //!
 //! Viewers are passive and cannot move or stop anything.
@@ -33,7 +33,7 @@ use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 /// The default port of Foxglove's viewers.
 pub const DEFAULT_PORT: u16 = 8765;
 
-/// The origins of Foxglove in a browser, and of its desktop application (which uses files).
+/// The origins of Foxglove in a browser, and of its desktop application (which loads its pages from files).
 pub const ORIGINS: [&str; 2] = ["https://app.foxglove.dev", "file://"];
 
 /// Maximum number of messages that wait for a viewer: about five seconds of all topics.
@@ -71,7 +71,7 @@ struct Shared {
     viewers: AtomicUsize,
 }
 
-/// The session's end of a viewer's queue.
+/// The session's side of a viewer's queue.
 struct QueueEnd {
     sender: SyncSender<Arc<Entry>>,
     seen: Arc<Seen>,
@@ -98,7 +98,7 @@ fn forget_gone(lines: &mut Vec<QueueEnd>) {
 }
 
 impl Shared {
-    /// Adds a viewer and returns its end of the queue.
+    /// Adds a viewer, and returns its side of the queue.
     fn join(&self, seen: &Arc<Seen>) -> Receiver<Arc<Entry>> {
         let (sender, queue) = sync_channel(QUEUE);
         let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
@@ -146,7 +146,7 @@ impl Foxglove {
     /// Opens the port and serves it in a separate thread. The session's clock is zero at `origin`.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &FoxgloveOptions, origin: Origin) -> Result<Self, WebError> {
         let bound = Bound::new(&options.server, NAME)?;
         let origins = ORIGINS.iter().map(ToString::to_string).chain(options.origins.iter().cloned());

@@ -21,7 +21,7 @@ pub fn server_info(session: u64) -> String {
     json!({
         "op": "serverInfo",
         "name": concat!("bimanual ", env!("CARGO_PKG_VERSION")),
-        // Viewers only look on.
+        // Viewers can only observe the session.
         "capabilities": [],
         "metadata": {},
         "sessionId": session.to_string(),

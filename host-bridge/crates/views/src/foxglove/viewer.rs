@@ -35,7 +35,7 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     let seen = Arc::new(Seen::default());
     let queue = shared.join(&seen);
-    // Whatever ends the connection, the viewer displays this and reconnects.
+    // The viewer displays any end of the connection, and reconnects.
     let _ = Viewer { socket, place, shared, queue, seen, wanted: Subscriptions::default() }.run();
 }
 
@@ -53,7 +53,7 @@ impl Viewer<'_> {
         self.socket.send(Message::text(server_info(self.shared.session)))?;
         self.socket.send(Message::text(advertise()))?;
         loop {
-            // Read before the last check of the queue, so that all messages are sent at the end.
+            // The flag is read before the last check of the queue, so that all messages are sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             self.tell()?;
             if over {
@@ -79,7 +79,7 @@ impl Viewer<'_> {
         }
     }
 
-    /// Sends what waits.
+    /// Sends the messages that wait.
     fn tell(&mut self) -> Result<(), Error> {
         let lost = self.seen.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {

@@ -30,7 +30,7 @@ const POLL: Duration = Duration::from_millis(50);
 /// The behaviour if the disk is slower than the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// The session waits. This is for played recordings, where nothing real moves.
+    /// The session waits. This choice is for played recordings, where no real robot moves.
     Wait,
     /// Messages are dropped and counted, so that nothing delays a robot.
     Drop,
@@ -76,7 +76,7 @@ impl Disk {
     /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// The file cannot be created or written, or already exists. This is reported before anything moves.
+    /// The file cannot be created or written, or already exists. The error is reported before the robot moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,

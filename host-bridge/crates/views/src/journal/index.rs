@@ -1,10 +1,9 @@
 //! Adds the index to recordings that were killed.
 //!
 //! A session's file is valid after every write ([`super::sink`]).
-//! However, readers that jump within it need the index at its end, which is written only when the file is closed.
-//! The next program start adds it: it copies the messages to a new file, which then replaces the old one.
+//! However, readers that jump within a file need the index at its end, which is written only when the file is closed.
+//! The next program start adds the index: it copies the messages to a new file, which then replaces the old one.
 //! A file that is still being written is locked and not changed.
-//! takes the old one's place. A file that is still being written is locked and left alone.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -18,10 +17,10 @@ use super::records::records;
 
 use super::sink::END;
 
-/// Adds the index to a file of ours that was not closed. Returns true if it did.
+/// Adds the index to a file of ours that was not closed. Returns true if it added one.
 ///
 /// # Errors
-/// Fails if the file cannot be read or written. It is then unchanged.
+/// Fails if the file cannot be read or written. The file is then unchanged.
 pub fn complete(file: &Path) -> Result<bool, String> {
     let about = |error: &dyn std::fmt::Display| format!("{}: {error}", file.display());
     let mut old = File::open(file).map_err(|error| about(&error))?;
@@ -82,7 +81,7 @@ fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
         let mut schemas = HashMap::from([(0, 0)]);
         let mut channels = HashMap::new();
         for record in records(bytes)? {
-            // Data after this damaged place was already lost.
+            // Any data after this damaged place had already been lost.
             let Ok(record) = record else { break };
             if let Record::Header(header) = &record {
                 (library, profile) = (header.library.clone(), header.profile.clone());

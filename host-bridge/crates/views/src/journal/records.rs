@@ -5,7 +5,7 @@ use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, McapResult};
 
-/// Maximum length of a record; our longest have some KiB.
+/// Maximum length of a record; the longest records of our files have some KiB.
 /// The library allocates the length that a record claims, which can be arbitrary in a damaged file.
 const RECORD_MAX: usize = 16 << 20;
 

@@ -1,5 +1,5 @@
-//! The WebSocket of one page: sends frames as fast as the page accepts them, and receives `stop`,
-//! marks and acknowledgements.
+//! The WebSocket of one page, which sends frames as fast as the page accepts them.
+//! The socket receives `stop`, marks and acknowledgements.
 
 use std::io;
 use std::net::TcpStream;
@@ -17,7 +17,7 @@ use super::{Counted, IN_FLIGHT_MAX, Shared};
 /// Interval at which the thread checks for new data. Data from the page wakes it immediately.
 const TURN: Duration = Duration::from_millis(4);
 
-/// A page that accepts nothing for this long is disconnected. It reconnects automatically.
+/// A page that accepts no data for this long is disconnected. The page reconnects automatically.
 const TAKES_NOTHING: Duration = Duration::from_secs(30);
 
 /// Maximum length of a page's message, which is always short.
@@ -75,7 +75,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Share
         taken: 0,
         taken_at: Instant::now(),
     };
-    // Whatever ends the connection, the page displays this and reconnects.
+    // The page displays any end of the connection, and reconnects.
     let _ = page.run();
 }
 
@@ -85,7 +85,7 @@ struct Page<'a> {
     shared: &'a Shared,
     told: Told,
     greeted: bool,
-    /// Frames sent, and acknowledged.
+    /// Numbers of frames sent and acknowledged.
     sent: u64,
     taken: u64,
     taken_at: Instant,
@@ -94,7 +94,7 @@ struct Page<'a> {
 impl Page<'_> {
     fn run(&mut self) -> Result<(), Error> {
         loop {
-            // Read before the last check of the history, so that everything is sent at the end.
+            // The flag is read before the last check of the history, so that everything is sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             if over || self.sent - self.taken < IN_FLIGHT_MAX {
                 self.tell()?;

@@ -1,10 +1,10 @@
-//! Access rules of the page. A pure function of a request's claims, with a reason for each refusal.
+//! Access rules of the page: a pure function of a request's claims, with a reason for each refusal.
 //!
 //! A server on 127.0.0.1 is exposed to two attacks.
-//! A page of another site can open a WebSocket, which is not bound to its own origin.
+//! A page of another site can open a WebSocket, because browsers allow WebSockets to other origins.
 //! A foreign DNS name can also be pointed at 127.0.0.1 (DNS rebinding).
 //! The requested host must therefore be an address or `localhost`, and the requesting page must be ours.
-//! For passive access, it may also be one of the named pages.
+//! For passive access, the page may also be one of the named ones.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -24,7 +24,7 @@ pub struct Claims<'a> {
     pub token: Option<&'a str>,
 }
 
-/// The reason for a refusal, as a text for the requesting user.
+/// The reason for a refusal, as a text for the user who sent the request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
     /// A foreign name.

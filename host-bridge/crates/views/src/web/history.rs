@@ -61,7 +61,7 @@ pub struct EventLine {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct History {
-    /// The first message to each page. It does not exist before the session's first step.
+    /// The first message to each page. The message does not exist before the session's first step.
     pub hello: Option<Arc<str>>,
     /// The newest [`host_core::observe::Snapshot`] as JSON.
     pub state: Arc<str>,
@@ -148,7 +148,7 @@ impl Frame {
     pub fn to_json(&self) -> String {
         let Frame { version, state, bends_permille, imu, events, path, trace } = self;
         let news = News { bends_permille: *bends_permille, imu, events, path, trace };
-        // The data consists of numbers, texts and lists, which cannot fail.
+        // Serialisation cannot fail, because the data consists of numbers, texts and lists.
         let news = serde_json::to_string(&news).unwrap_or_default();
         format!(r#"{{"frame":{version},"state":{state},"news":{news}}}"#)
     }

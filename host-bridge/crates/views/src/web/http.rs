@@ -162,6 +162,6 @@ pub fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, w
         content.len()
     );
     let body = if with_body { content.as_bytes() } else { &[] };
-    // If the client disconnects during an answer, it does not need it.
+    // A client that disconnects during an answer does not need the rest.
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
 }

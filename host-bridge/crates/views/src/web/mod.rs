@@ -100,15 +100,15 @@ pub struct Web {
 }
 
 impl Web {
-    /// Opens the port and serves it in a separate thread.
+    /// Opens the port, and serves it in a separate thread.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
         Self::start_with(options, false)
     }
 
-    /// Like the function above; with `marks`, the pages can mark episodes.
+    /// Like the function above, but with `marks`, the pages can mark episodes.
     ///
     /// # Errors
     /// As [`Web::start`].
@@ -149,19 +149,19 @@ impl Web {
         self.shared.stop.swap(false, Ordering::SeqCst)
     }
 
-    /// Returns the same function for another thread.
+    /// Returns the function [`Self::take_stop`] for another thread.
     pub fn stops(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.stop.swap(false, Ordering::SeqCst)
     }
 
-    /// Whether a page has pressed the wearer's button since the last call, for another thread.
+    /// Returns whether a page has pressed the wearer's button since the last call, for another thread.
     pub fn shows(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.show.swap(false, Ordering::SeqCst)
     }
 
-    /// Takes the marks that pages have made, one a call, for another thread; never waits.
+    /// Takes the marks that pages have made, one per call, for another thread. It never waits.
     pub fn marks(&self) -> impl Fn() -> Option<Mark> + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()

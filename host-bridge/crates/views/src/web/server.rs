@@ -30,10 +30,10 @@ pub struct WebOptions {
     pub token: Option<String>,
 }
 
-/// The reason why nothing is served, with a remedy in the text.
+/// The reason why the server does not start, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
-    /// Somebody else has the port.
+    /// Another program uses the port.
     #[error(
         "{what} cannot be served: {address} is in use, perhaps by another bimanual; choose another port with \
          {option}={}, or {option}=0 for any free one",
@@ -47,7 +47,7 @@ pub enum WebError {
         /// Which.
         address: SocketAddr,
     },
-    /// The system does not let us.
+    /// The system does not permit this.
     #[error(
         "{what} cannot be served on {address}: {source}; choose another port with {option}=PORT (1024 or above), \
          or another address of this machine with --web-listen ADDR"
@@ -98,7 +98,7 @@ impl Bound {
     /// Takes the port.
     ///
     /// # Errors
-    /// [`WebError`] if the port is not available, or other machines could connect without a token.
+    /// Returns [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn new(options: &WebOptions, Name { what, option }: Name) -> Result<Self, WebError> {
         match &options.token {
             Some(token) if !gate::is_fit_as_token(token) => return Err(WebError::BadToken),
@@ -190,7 +190,7 @@ impl Seat {
         self.heard();
     }
 
-    /// Reports data from the other end, so that the connection keeps its place.
+    /// Reports data from the other side, so that the connection keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
@@ -235,7 +235,7 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
                     lock(&places).pop();
                 }
             }
-            // For example, if no file descriptors are left. The delay avoids a busy loop.
+            // The cause may be that no file descriptors are left. The delay avoids a busy loop.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -245,7 +245,7 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Adds a connection to the list. If the list is full, it closes the connection that has been silent for longest.
+/// Adds a connection to the list. If the list is full, the connection that has been silent for longest is closed.
 /// Connections other than pages are closed first. Returns true if one was closed.
 fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);

@@ -73,9 +73,9 @@ impl Watcher {
     }
 }
 
-/// Makes this the newest state.
+/// Publishes this as the newest state.
 pub(super) fn publish(shared: &Shared, now: &Now<'_>) {
-    // The data consists of numbers, texts and lists, which cannot fail.
+    // Serialisation cannot fail, because the data consists of numbers, texts and lists.
     let state = serde_json::to_string(&Snapshot::of(now)).unwrap_or_default();
     let mut history = shared.history();
     history.state = state.into();
