@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Number of decimals, which corresponds to a micrometre at the end of an arm.
+/// Number of decimals, which corresponds to about a micrometre at the tip of an arm.
 const DIGITS: usize = 6;
 
 /// The pose cannot be written.
@@ -48,7 +48,7 @@ pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, T
     Ok(new)
 }
 
-/// As a TOML string.
+/// Returns the name as a TOML string.
 fn quoted(name: &str) -> String {
     toml::Value::String(name.to_owned()).to_string()
 }

@@ -37,7 +37,7 @@ fn script() -> Script {
     Demo::bundled().script
 }
 
-/// Plays to the end.
+/// Plays the session to its end.
 fn run(left: Option<AdcRecording>, right: Option<Recording>, map: MotionMap) -> Summary {
     let model = ModelFile::bundled().unwrap();
     let left = left.map_or(Source::Nobody, |left| {

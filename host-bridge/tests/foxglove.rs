@@ -26,7 +26,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// Limit in wall-clock time, so that a hang cannot block the tests.
+/// Limit in wall-clock time, so that a test cannot hang forever.
 const PATIENCE: Duration = Duration::from_secs(120);
 const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
 

@@ -28,7 +28,7 @@ struct Site {
     door: Director<RosRobot>,
     now_ms: u64,
     joints_rad: Joints,
-    /// `None`: nobody tells.
+    /// The position of the gripper; `None` if no message contains it.
     knuckle: Option<f64>,
     tells_base: bool,
     commands: bool,

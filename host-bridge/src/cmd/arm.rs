@@ -34,7 +34,7 @@ pub struct Args {
     config: Option<PathBuf>,
 }
 
-/// Looks at the graph, and writes what was found.
+/// Examines the graph, and writes the arm and the scene that it finds.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     let is_new = !args.scene.exists();

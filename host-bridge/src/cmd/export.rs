@@ -52,7 +52,7 @@ pub enum Episodes {
     Session,
     /// Each motion of the arm
     Motions,
-    /// What was marked
+    /// The episodes that the operator marked
     Marks,
 }
 

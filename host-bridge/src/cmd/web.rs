@@ -1,4 +1,4 @@
-//! Options of the page and of Foxglove, used by all commands that move a robot.
+//! Options for the web page and Foxglove, used by all commands that move a robot.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read as _, Write as _};
@@ -44,19 +44,19 @@ pub struct WebArgs {
 const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
-    /// Starts the server if it was requested. With `unasked`, it also starts otherwise if a port is free.
+    /// Starts the server if it was requested. With `unasked`, it starts without a request if a port is free.
     /// With `marks`, the pages can mark episodes.
     pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {
-            // The output may have no reader.
+            // Nobody may be reading the output.
             let _ = writeln!(
                 std::io::stderr(),
                 "--web-token shows the token to everybody on this machine who lists its processes: give it with \
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Access options also request the page, unless they are for Foxglove.
+        // Access options also imply the page, unless they belong to Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
@@ -78,7 +78,7 @@ impl WebArgs {
         Ok(WebOptions { address, port, token: self.token()? })
     }
 
-    /// Reads the token from the command line, a file, or the environment, once.
+    /// Reads the token once from the command line, a file, or the environment.
     fn token(&self) -> Result<Option<String>> {
         static READ: OnceLock<String> = OnceLock::new();
         let Some(file) = &self.web_token_file else {

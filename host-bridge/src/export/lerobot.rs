@@ -92,7 +92,7 @@ fn pretty(value: &Value) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// All values of the data's rows.
+/// The values of all rows of the data.
 #[derive(Clone, Debug, Default)]
 struct Features {
     state: Vec<Vec<f32>>,
