@@ -1,5 +1,5 @@
-//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that the
-//! limits allow.
+//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that
+//! follows from their limits.
 
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::Twist;
@@ -21,13 +21,13 @@ fn in_scene(text: &str, arm_start_rad: Joints) -> (Robot, Planner) {
     (moving::in_scene(planner.clone()), planner)
 }
 
-/// Distance to everything, in m.
+/// Minimum distance from every obstacle, in m.
 fn clearance_m(robot: &Robot, planner: &Planner) -> f64 {
     let around = planner.world().around(Placement::from(robot.odometry()));
     around.arm_clearance(&robot.arm().joints_rad).distance_m.min(around.base_clearance().distance_m)
 }
 
-/// Computes the change of the joints' accelerations from their speeds at each millisecond.
+/// Computes the change of acceleration of the joints from their speeds in each millisecond.
 struct Jerks([[f64; JOINTS]; 2]);
 
 impl Jerks {

@@ -95,7 +95,7 @@ fn all_pairs_of_motions_via_home_and_direct() {
                 ends.iter().map(|end| end.1).fold(0.0, f64::max)
             );
             assert!(ends[1].0 <= ends[0].0 + 1e-9, "the direct way is never slower");
-            // For a move that reaches cruise speed, limited jerk adds the time to build up 0.43 rad/s².
+            // For a move that reaches cruise speed, the jerk limit adds the time that 0.43 rad/s² takes to build up.
             assert!((ends[2].0 - ends[1].0 - 0.43 / MAX_JERK_RAD_S3).abs() < 0.02, "{ends:?}");
             assert!(clearances_m.iter().all(|clearance_m| *clearance_m > 0.02));
             sum_home_s += ends[0].0;

@@ -1,6 +1,6 @@
-//! The core (unicorn's Cortex-M4F) in its chip: exceptions, sleep, resets, and the count of instructions.
+//! Connects the core (unicorn's Cortex-M4F) with its chip: exceptions, sleep, resets, and the number of instructions.
 //!
-//! Unicorn executes instructions, and this module does the rest.
+//! Unicorn executes the instructions, and this module does everything else.
 //! While the core is awake, time advances with its instructions; while it sleeps, time jumps to the next event.
 
 mod exceptions;
@@ -26,17 +26,17 @@ use super::softdevice::{APPLICATION, Core, SoftDevice};
 use super::time::{HZ, us};
 
 /// Cycles per two instructions, because flash has wait states and loads take two cycles.
-/// The value of 1.5 cycles per instruction is above the usual 1.2 to 1.4.
+/// The value of 1.5 cycles per instruction is deliberately above the typical 1.2 to 1.4.
 const CYCLES_PER_TWO: u64 = 3;
-/// In place of a number of instructions.
+/// Marker that is stored in place of a number of instructions.
 const ANSWERED: u16 = u16::MAX;
-/// Entering or leaving an exception.
+/// Number of cycles for entering or leaving an exception.
 const EXCEPTION_CYCLES: u64 = 12;
 
 /// The reason why the core stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// An event is due or an interrupt is ready before the block at this address.
+    /// An event is due, or an interrupt is pending, before the block at this address.
     Attention { at: u32 },
     /// The core executed WFE or WFI at this address.
     Wait { at: u32, for_event: bool },
@@ -44,7 +44,7 @@ enum Stop {
     ExceptionReturn,
     /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
-    /// A function that is answered from outside, at this address.
+    /// The core called a function at this address that the emulator executes in its place.
     Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
@@ -58,18 +58,18 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Cycles of executed instructions, and their number when interrupts were masked.
+    /// Number of cycles of executed instructions, and its value when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet, [`ANSWERED`] if it is
-    /// a function that is answered from outside.
+    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block was not
+    /// executed yet, and [`ANSWERED`] if it is a function that the emulator executes itself.
     blocks: Vec<u16>,
-    /// The function at this address is not answered but executed, this time.
+    /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses and numbers; few, and looked through at every block.
+    /// Addresses and numbers. There are few, because every block searches all of them.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
-    /// Probes that paint the stack.
+    /// Probes that fill the stack with a pattern.
     painting: Vec<usize>,
     open: Vec<Open>,
     taps: Vec<(u32, usize, usize)>,
@@ -90,11 +90,11 @@ impl World {
     }
 }
 
-/// The word and address by which the stock bootloader detects a double press of reset.
+/// The word and its address by which the stock bootloader detects a double press of reset.
 const DOUBLE_PRESS: (u32, u32) = (0x2000_7FFC, 0x0773_8135);
-/// RAM that the stock bootloader uses as its stack.
+/// RAM in which the stock bootloader has its stack.
 const BOOTLOADER_STACK: std::ops::Range<u32> = 0x2000_6D48..0x2000_8D48;
-/// Bits of RESETREAS for resets by the pin, by the watchdog and by software.
+/// Bits of RESETREAS that indicate resets by the pin, by the watchdog and by software.
 const PIN: u32 = 1;
 const WATCHDOG: u32 = 2;
 const SOFT: u32 = 4;
@@ -102,7 +102,7 @@ const SOFT: u32 = 4;
 /// The environment that starts the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boot {
-    /// A simulated stock bootloader, which leaves its table and some active peripherals.
+    /// A simulated stock bootloader, which leaves a vector table and some active peripherals.
     StockBootloader,
     /// The MBR and the SoftDevice, which forwards exceptions.
     SoftDevice,
