@@ -194,7 +194,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
     }
 }
 
-/// A wall through the arm's mount, with an opening only around the shoulder.
+/// Returns a wall through the arm's mount, with an opening only around the shoulder.
 const WALLS: &str = r#"
 [[box]]
 name = "right wall"

@@ -14,7 +14,7 @@ const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
 const REFUSED: u8 = 5;
 
-/// A laptop that pairs without bonding, or does not pair.
+/// Runs a laptop that pairs without bonding, or does not pair.
 fn stranger(pairs: bool) -> RightRig {
     let mut session = RightRig::ble(Box::new(Still));
     let mut host = BleHost::default();
@@ -62,7 +62,7 @@ fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
         session.run_ms(5000);
         assert!(hung_up(&mut session), "pairs: {pairs}: {:?}", session.log());
     }
-    // The owner stays.
+    // The owner's bond is kept.
     let mut session = RightRig::ble_ready();
     session.run_ms(25_000);
     assert!(!session.log().iter().any(|what| matches!(what, Happening::Disconnected(_))));

@@ -163,7 +163,7 @@ fn the_xiao_measures_its_battery() {
             println!("{battery_mv} mV: {said} mV");
             assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
         };
-        // Nobody has asked.
+        // No program has asked for vibration.
         measures(battery_mv, 1500);
         if let Some(later_mv) = later_mv {
             measures(later_mv, 61_000);

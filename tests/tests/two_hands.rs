@@ -31,7 +31,7 @@ fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
 const FORWARD_RAD: f64 = 0.5;
 
 /// Plays the bundled session on both boards, and compares the results with the session's expected values.
-/// The short run plays the complete session over one link, and only the first gestures over the others.
+/// In the short run, one link plays the complete session, and the others play only the first gestures.
 fn play_demo(link: Cable) {
     let whole = is_full() || link == Cable::Uart;
     let Demo { left, right, script } = Demo::bundled();
@@ -124,13 +124,14 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     from_sample_to_arm(Cable::Uart, if is_full() { 40 } else { 2 });
 }
 
-/// When packets pass is modelled: at 15 ms, the longest interval that the board asks for.
+/// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
 }
 
-/// Simulated wearers whom no model has seen draw gesture after gesture; each starts the arm of a rested robot.
+/// Simulated wearers, whose data no model was trained with, perform gestures one after another. Each gesture starts
+/// the arm of a robot at rest.
 fn from_sample_to_arm(link: Cable, wearers: u32) {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
@@ -144,7 +145,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
         let wearer = RightWearer::evaluation(11, index);
         let recording = session(&wearer, 0, &script);
         let mut start_s = 0.0;
-        // Another phase of hop and millisecond for each wearer, and another sensor clock.
+        // Each wearer has another phase of hop and millisecond, and another sensor clock.
         let mut right = Right::start(link, |zero_s| {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
@@ -172,7 +173,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                     others.push(format!("{}: {label} for {meant}", wearer.name));
                 }
                 if matches!(outcome, GestureOutcome::Started(_)) {
-                    // The grid time of the last sample in the window, on the emulated clock.
+                    // Time of the last sample in the window on the grid, according to the emulated clock.
                     let number = (f64::from(*window_end_board_ms) / 10.0).round() as u64;
                     let tick = number * 32_768 / 100;
                     deciding = Some(right.board.clock_start() + tests::nrf::time::cycle_of_tick(tick));
@@ -183,7 +184,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                 && desk.arm_moves()
             {
                 let cycles = right.cycle_at(now_ms) - sample;
-                // The sensor measured the sample this long before its grid time (sensor/src/grid.rs).
+                // The sensor measured the sample this long before the sample's grid time (sensor/src/grid.rs).
                 let delay_ms = 1100.0 / 238.0;
                 to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
                 deciding = None;
@@ -219,7 +220,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
     assert!(*to_arm_ms.last().unwrap() <= 50.0);
 }
 
-/// The right hand makes to-fro strokes for 3 s in every 10 s, starting at 4 s.
+/// The right hand performs to-fro strokes for 3 s in every 10 s, starting at 4 s.
 fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     let mut script = vec![Segment::new(Motion::IDLE, 4.0)];
     for _ in 0..count {
@@ -230,7 +231,7 @@ fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     move |start| Replay { rows, interval: 0.01, start }
 }
 
-/// A desk whose left hand is controlled by the test.
+/// Creates a desk on which the test controls the left hand.
 struct Steered {
     desk: TwoHands,
     hand: Rc<RefCell<Hand>>,

@@ -459,7 +459,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
-            // The displayed angles must equal the reported ones exactly, which shows that they do not come from the simulator.
+            // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
             // The newest report by that time counts, with a tolerance for the clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {

@@ -63,7 +63,7 @@ impl AirHost {
         Self::want(board, order.clone()).unwrap_or_else(|failed| panic!("{order}: {failed}"))
     }
 
-    /// MTU and subscribes.
+    /// Connects at this interval (in ms), pairs or (if it has keys) encrypts, requests the largest MTU, and subscribes.
     ///
     /// # Panics
     /// Panics if a step fails.

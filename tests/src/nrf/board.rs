@@ -104,11 +104,11 @@ const SOFT: u32 = 4;
 pub enum Boot {
     /// A simulated stock bootloader, which leaves a vector table and some active peripherals.
     StockBootloader,
-    /// The MBR and the SoftDevice, which forwards exceptions.
+    /// The models of the MBR and the SoftDevice, which forward exceptions.
     SoftDevice,
 }
 
-/// Which board it is.
+/// The type of board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Nano 33 BLE Sense with an LSM9DS1.
@@ -128,7 +128,7 @@ impl Kind {
         }
     }
 
-    /// According to the boards' documentation and, for the XIAO, Zephyr's board files.
+    /// The pins follow the boards' documentation and, for the XIAO, Zephyr's board files.
     fn wiring(self) -> Wiring {
         match self {
             Self::Nano33 | Self::Nano33Rev2 => Wiring {
@@ -182,7 +182,7 @@ impl Board {
     /// Returns a board of this kind with the image in flash, before its start.
     ///
     /// # Panics
-    /// Panics like [`Self::new`].
+    /// Panics for the same reason as [`Self::new`].
     pub fn of_kind(kind: Kind, image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         let mut soc = Soc::new(kind.wiring(), kind.sensor(motion));
         for (address, bytes) in &image.pieces {
@@ -295,10 +295,10 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // The state after the stock bootloader: its own table is active, and the converter and the cache are on.
+            // This is the state after the stock bootloader: its own vector table is active, and the converter and the cache are on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
-            // UARTE0 still receives to a byte of the bootloader's RAM, which is now ours.
+            // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.
             for (offset, value) in
                 [(0x50C, 35), (0x514, 42), (0x524, 0x01D6_0000), (0x534, 0x2000_9BD4), (0x538, 1), (0x500, 8)]
             {
@@ -341,12 +341,12 @@ impl Board {
         &mut self.uc.get_data_mut().soc
     }
 
-    /// Virtual time in cycles.
+    /// Returns the virtual time in cycles.
     pub fn now(&self) -> u64 {
         self.uc.get_data().soc.now
     }
 
-    /// Cycle at which the firmware's clock (RTC1) was 0.
+    /// Returns the cycle at which the firmware's clock (RTC1) was 0.
     pub fn clock_start(&self) -> u64 {
         super::time::cycle_of_tick(self.uc.get_data().soc.rtc1.zero_tick())
     }
@@ -356,17 +356,17 @@ impl Board {
         self.asleep
     }
 
-    /// Executed instructions.
+    /// Returns the number of executed instructions.
     pub fn instructions(&self) -> u64 {
         self.uc.get_data().instructions
     }
 
-    /// Cycles awake since power-up.
+    /// Returns the number of cycles awake since power-up.
     pub fn awake(&self) -> u64 {
         self.uc.get_data().soc.awake
     }
 
-    /// The image.
+    /// Returns the linked image.
     pub fn image(&self) -> &Image {
         &self.image
     }
@@ -383,7 +383,7 @@ impl Board {
             }
             let soc = self.soc();
             if soc.nvmc.busy_until > soc.now {
-                // The core and interrupts wait while flash is written.
+                // The core and its interrupts are suspended while flash is written.
                 let still = soc.nvmc.busy_until - soc.now;
                 soc.now += still;
                 soc.awake += still;
@@ -471,12 +471,12 @@ impl Board {
         self.run_until(until);
     }
 
-    /// Fraction of time awake so far, 0 to 1.
+    /// Returns the fraction of time awake so far, 0 to 1.
     pub fn awake_share(&self) -> f64 {
         self.awake() as f64 / self.now().max(1) as f64
     }
 
-    /// Seconds of virtual time.
+    /// Returns the virtual time in seconds.
     pub fn seconds(&self) -> f64 {
         self.now() as f64 / HZ as f64
     }
@@ -486,7 +486,7 @@ impl Board {
         self.soc().uart.take_sent().into_iter().map(|(_, byte)| byte).collect()
     }
 
-    /// Sends bytes into D1.
+    /// Sends bytes to the board at D1.
     pub fn uart_in(&mut self, bytes: &[u8]) {
         let soc = self.soc();
         soc.uart.receive(bytes, soc.now);

@@ -1,4 +1,4 @@
-//! The emulated right hand: a Nano 33 BLE Sense from its instructions to its I2C bus.
+//! The emulated right hand: a Nano 33 BLE Sense, from its processor's instructions to its I2C bus.
 //!
 //! It needs the package `libunicorn-dev` (Debian) and the Cargo feature `nrf`.
 //! Each peripheral has its own file with its own tests, because emulators are not always accurate.

@@ -20,11 +20,11 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// Number of attempts, because the model does not recognise every drawn gesture.
+/// Number of attempts, because the model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 4;
 /// Limit in wall-clock time. A gesture takes 4 s of the boards' time.
 const SOON: Duration = Duration::from_secs(60);
-/// Speed factor of the robot's arm, whose motions then take 3 to 7 s.
+/// Speed factor of the robot's arm, whose motions take 3 to 7 s with this factor.
 const PACE: &str = "8";
 
 fn is_armed(bridge: &mut Teller) -> bool {

@@ -8,7 +8,7 @@
 //! and the test inserts their names where the user
 //! would.
 //! The programs are those that were built for the tests.
-//! The time limit applies to the boards' clocks plus the actual duration of the training.
+//! The time limit applies to the sum of the boards' time and the actual duration of the training.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::process::Command;
@@ -41,7 +41,7 @@ struct Shell {
 }
 
 impl Shell {
-    /// Runs a line as printed.
+    /// Runs a command line exactly as printed.
     fn start(&self, line: &str) -> Running {
         println!("$ {line}");
         let mut command = Command::new("sh");
@@ -68,7 +68,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
     }
     let desk = Desk::new("walk-through");
     let left = Left::start(&desk, "usb0");
-    // A wearer who is not in the training data of any model.
+    // A wearer whose data were not used for training any model.
     let right = Right::start(&desk, "acm0", Wearer::evaluation(77, 1));
     let shell = Shell { ports: [left.port(), right.port()], desk };
     let (begun, board_began_ms) = (Instant::now(), right.board_ms());
