@@ -26,7 +26,7 @@ use host_robot::Door;
 
 use crate::wearer::Wearer;
 
-/// Incoming bytes wake the loop at once; otherwise it runs at this interval.
+/// Incoming bytes wake the loop at once; otherwise the loop runs at this interval.
 const TURN: Duration = Duration::from_millis(2);
 /// Maximum time for reading bytes before the engine runs.
 const RECEIVE_MAX: Duration = Duration::from_millis(5);

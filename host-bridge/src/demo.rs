@@ -74,7 +74,7 @@ impl Demo {
     /// Returns a session of both hands with this robot, at its start.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the model needs other axes.
+    /// Returns [`ModelFileError`] if the model needs other axes.
     pub fn session<D: Door>(
         self,
         model: &ModelFile,

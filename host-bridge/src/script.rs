@@ -117,7 +117,7 @@ impl Script {
     /// Reads the text of a `session.toml`.
     ///
     /// # Errors
-    /// [`ScriptError`] with line and column.
+    /// Returns [`ScriptError`] with line and column.
     pub fn parse(text: &str) -> Result<Self, ScriptError> {
         Ok(toml::from_str(text)?)
     }
@@ -127,7 +127,7 @@ impl CalibrationTable {
     /// Reads a file with `zero`, `rest` and `bend`, as in a session's `[calibration]`.
     ///
     /// # Errors
-    /// [`ScriptError`] with line and column.
+    /// Returns [`ScriptError`] with line and column.
     pub fn parse(text: &str) -> Result<Self, ScriptError> {
         Ok(toml::from_str(text)?)
     }

@@ -27,7 +27,7 @@ pub enum TaughtError {
 /// Returns the text with this pose: an existing one gets new angles, and a new one is appended.
 ///
 /// # Errors
-/// [`TaughtError`]. Nothing is lost in this case.
+/// Returns [`TaughtError`]. The file's text is unchanged in this case.
 pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, TaughtError> {
     let mut angles = String::from("[");
     for (i, angle) in joints_rad.iter().enumerate() {

@@ -124,7 +124,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
 #[test]
 fn a_damaged_step_does_not_run_for_ever() {
     let mut file = demo().to_vec();
-    // In a message with steps, the type of the first step precedes its time. The test makes this time huge.
+    // In a message of steps, the first time value follows the first step's type. The test makes this time huge.
     let turns =
         mcap::read::ChunkFlattener::new(demo()).unwrap().filter_map(Result::ok).find_map(
             |record| match record {

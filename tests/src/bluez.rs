@@ -6,8 +6,7 @@
 //! While the port does not exist, the board is out of range.
 //!
 //! Objects, properties and errors have the same names as in BlueZ 5.66 (`doc/*-api.txt`).
-//! The adapter `hci0` contains the board after its discovery,
-//! and the board contains its service and two characteristics.
+//! After discovery, the adapter `hci0` contains the board, which contains its service with two characteristics.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};

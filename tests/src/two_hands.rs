@@ -208,8 +208,7 @@ impl Right {
     }
 }
 
-/// Simulates a bad cable: it changes bytes that a board sends in a millisecond,
-/// and adds bytes on their way to the board.
+/// Simulates a bad cable, which changes the bytes from a board and adds bytes on their way to the board.
 pub type Disturbance = Box<dyn FnMut(Hand, &mut Vec<u8>) -> Vec<u8>>;
 
 /// The desk with boards, laptop and robot.

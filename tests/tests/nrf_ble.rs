@@ -1,5 +1,4 @@
-//! Tests the image with the SoftDevice S140: it boots correctly, advertises,
-//! and sends the same data over Bluetooth and UART.
+//! Tests the image with the SoftDevice S140: it boots, advertises, and sends the same data over Bluetooth and UART.
 #![cfg(feature = "nrf")]
 
 use models::synth::{self, Motion, Segment};

@@ -1,5 +1,5 @@
-//! Measures the cost of recognition on the board: instructions, time awake and memory,
-//! compared with the paper and others.
+//! Measures the cost of recognition on the board (instructions, time awake and memory), and compares it with the paper's
+//! and other results.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::aligned::AlignedWindow;
@@ -141,9 +141,8 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // Results in ../shared/reference/peers.md for the network with softmax, calculated from int8 inputs:
-    // the best value per column, and
-    // the results of the paper.
+    // Results in ../shared/reference/peers.md for the network with softmax, calculated from int8 inputs.
+    // They are the best value per column, and the results of the paper.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -199,7 +198,8 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
 }
 
 /// Current in mA of each sensor as the images configure it, from its data sheet.
-/// LSM9DS1: gyroscope 4.0, accelerometer and magnetometer 0.6; BMI270: performance mode; LSM6DS3TR-C: high performance.
+/// The values are for the LSM9DS1 with gyroscope (4.0), accelerometer and magnetometer (0.6); BMI270 in performance mode;
+/// LSM6DS3TR-C in high-performance mode.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
 /// nRF52840: 52 uA/MHz awake from flash at 3 V with DC/DC converter. The next value is the current asleep with RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
@@ -231,9 +231,8 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
 }
 
 /// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
-/// The sensor must keep running, because the dead-man rule requires fresh samples
-/// and a gesture's window starts before the
-/// gesture is detected.
+/// The sensor must keep running, because the dead-man rule requires fresh samples,
+/// and because a gesture's window starts before the gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
     println!(
@@ -258,8 +257,7 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
                 100.0 * saved / mah
             );
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
-            // This is the maximum saving from pausing the classifier at rest,
-            // on the board with the lowest sensor current.
+            // This is the maximum saving from pausing the classifier at rest, on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
         }
     }

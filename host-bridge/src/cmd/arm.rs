@@ -1,4 +1,4 @@
-//! `host-bridge arm`: what a robot on a ROS 2 graph says about its own arm becomes a scene, and a URDF that stands alone.
+//! `host-bridge arm`: writes a scene and a self-contained URDF from the description that a robot publishes on ROS 2.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

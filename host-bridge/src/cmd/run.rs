@@ -103,8 +103,8 @@ pub struct HandArgs {
     /// Where wearers' models and recordings are kept, a folder for each
     #[arg(long, value_name = "FOLDER", default_value = "wearers")]
     wearers: PathBuf,
-    /// The model to start from, if the right hand's board does not run the bundled one; its card, .float.tflite and
-    /// .memory.bin lie beside it
+    /// The model to start from, if the right hand's board does not run the bundled one;
+    /// its card, .float.tflite and .memory.bin lie beside it
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
     #[command(flatten)]

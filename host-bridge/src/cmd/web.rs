@@ -24,18 +24,16 @@ pub struct WebArgs {
     #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
     foxglove_origin: Vec<String>,
     /// Let other machines use the page with its stop button, and Foxglove's port:
-    /// listen on this address (0.0.0.0 = all);
-    /// needs --web-token
+    /// listen on this address (0.0.0.0 = all); needs --web-token
     #[arg(long, value_name = "ADDR")]
     web_listen: Option<IpAddr>,
     /// Token that a page must send: at least 16 letters and digits.
-    /// Other users of this machine can read it in the list of
-    /// processes, so prefer --web-token-file or the variable BIMANUAL_WEB_TOKEN
+    /// Other users of this machine can read it in the list of processes,
+    /// so prefer --web-token-file or the variable BIMANUAL_WEB_TOKEN
     #[arg(long, value_name = "TOKEN", conflicts_with = "web_token_file")]
     web_token: Option<String>,
     /// File whose first line is the token, - for standard input.
-    /// The token is sent unencrypted, so outside your own network
-    /// forward the port over ssh instead
+    /// The token is sent unencrypted, so outside your own network forward the port over ssh instead
     #[arg(long, value_name = "FILE")]
     web_token_file: Option<PathBuf>,
 }

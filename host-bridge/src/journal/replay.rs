@@ -88,7 +88,7 @@ pub enum ReplayError {
 /// Replays a file until its end or the first damaged place.
 ///
 /// # Errors
-/// [`ReplayError`] if nothing can be replayed.
+/// Returns [`ReplayError`] if nothing can be replayed.
 pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let records = records(file)?;
     let mut topics = BTreeMap::new();

@@ -76,7 +76,7 @@ impl SceneText {
     /// Reads a scene file and its arm.
     ///
     /// # Errors
-    /// [`SetupError`] if a file is missing or the scene is invalid.
+    /// Returns [`SetupError`] if a file is missing or the scene is invalid.
     pub fn read(file: &Path) -> Result<Self, SetupError> {
         let text = |file: &Path| {
             std::fs::read_to_string(file).map_err(|source| SetupError::Read { file: file.to_owned(), source })
@@ -133,7 +133,7 @@ impl Setup {
     /// Returns the motions of all labels.
     ///
     /// # Errors
-    /// [`SetupError::Metadata`] for an invalid mapping.
+    /// Returns [`SetupError::Metadata`] for an invalid mapping.
     pub fn motion_map(&self) -> Result<MotionMap, SetupError> {
         let mut map = self.config.motion_map();
         for mapping in &self.maps {

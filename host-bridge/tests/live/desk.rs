@@ -227,8 +227,8 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
     assert_eq!(read.recording.samples.len(), 150);
     for (n, (time_ms, counts)) in read.recording.samples.iter().enumerate() {
         assert_eq!(*time_ms, 10 * n as u64);
-        // The recording contains the conversions with eighths, on which the board bases its decisions.
-        // The last bit always varies.
+        // The recording contains conversions in eighths of a count, which the board also uses for its decisions.
+        // The last bit of a conversion always varies.
         let level = AdcCounts::from_ten_bit(FORWARD);
         assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
     }

@@ -657,8 +657,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The DDS library uses about 650 bytes per participant,
-    // and mutated announcements can add a hundred more participants.
+    // The DDS library uses about 650 bytes per participant, and mutated announcements can add a hundred participants.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),

@@ -4,8 +4,7 @@
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
 //! The operating system affects programs in wall-clock time (signals, terminals, floods, pauses).
 //! Most of these tests therefore also run in wall-clock time and wait for each expected result.
-//! Time limits are judged on a quiet machine ([`Lateness`]);
-//! a machine that is busy with other tests gets [`GRACE_MS`] more.
+//! Time limits are judged on a quiet machine ([`Lateness`]); a busy machine gets [`GRACE_MS`] more.
 //! The tests of recordings and of commands without a reader use a desk with simulated time.
 
 use std::fs::File;

@@ -51,8 +51,8 @@ impl Lateness {
         Lateness(seen)
     }
 
-    /// Returns whether times measured meanwhile can be judged in a test that itself loads the processors: in nine of ten
-    /// cases, a sleep ended within 2 ms and other programs used less than half of the processors.
+    /// Returns whether times measured meanwhile can be judged in a test that loads the processors itself.
+    /// In nine of ten cases, a sleep must have ended within 2 ms, and other programs must have left half of the processors.
     pub fn had_room(&self) -> bool {
         at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
     }

@@ -69,7 +69,7 @@ pub struct EepromWrite {
 }
 
 /// Data shared by simavr's callbacks and the board.
-/// It consists of cells, because callbacks run while the emulator runs, and never at the same time as our own code.
+/// The data is in cells, because callbacks run inside the emulator, and never at the same time as our own code.
 struct Wires {
     avr: *mut ffi::avr_t,
     voltages: RefCell<Box<dyn Voltages>>,
@@ -224,8 +224,8 @@ impl Nano {
         self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
     }
 
-    /// If the watchdog's interrupt is not handled before the next time-out, that time-out resets the chip;
-    /// see "Interrupt and System Reset Mode" in the data sheet.
+    /// If the watchdog's interrupt is not handled before the next time-out, that time-out resets the chip
+    /// ("Interrupt and System Reset Mode" in the data sheet).
     fn watchdog_interrupt_must_not_wait(&mut self) {
         const WDIF: u8 = 1 << 7;
         const WDIE: u8 = 1 << 6;

@@ -259,7 +259,8 @@ pub fn bends(job: Job) -> BendCounts {
     result
 }
 
-/// Returns the unused bytes of RAM after static memory, which the program painted at start, and the deepest stack.
+/// Returns two stack sizes in bytes: the RAM that was never used, and the deepest stack. The program fills the RAM
+/// with a pattern at its start.
 /// The session contains all requests, a flood, faults and a calibration.
 pub fn stack() -> (usize, usize) {
     const PAINT: u8 = 0xC5; // of `firmware-nano-avr/src/stack.rs`

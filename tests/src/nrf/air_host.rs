@@ -55,7 +55,7 @@ impl AirHost {
         panic!("{order} takes too long")
     }
 
-    /// Does the same for an action that must succeed.
+    /// Lets the laptop perform an action that must succeed, and returns the result.
     ///
     /// # Panics
     /// Panics if the action fails.
@@ -106,7 +106,7 @@ impl RightRig {
     /// Calls [`AirHost::want`].
     ///
     /// # Panics
-    /// Panics for the same reasons.
+    /// Panics for the same reasons as [`AirHost::want`].
     pub fn want(&mut self, order: Value) -> Result<Value, Value> {
         AirHost::want(&mut self.board, order)
     }
@@ -114,7 +114,7 @@ impl RightRig {
     /// Calls [`AirHost::get`].
     ///
     /// # Panics
-    /// Panics for the same reasons.
+    /// Panics for the same reasons as [`AirHost::get`].
     pub fn get(&mut self, order: Value) -> Value {
         AirHost::get(&mut self.board, order)
     }
@@ -122,7 +122,7 @@ impl RightRig {
     /// Calls [`AirHost::join`].
     ///
     /// # Panics
-    /// Panics for the same reasons, or if the laptop does not use bumble.
+    /// Panics if [`AirHost::join`] does, or if the laptop does not use bumble.
     pub fn join(&mut self, interval: f64) {
         self.air.as_mut().expect("bumble's laptop").join(&mut self.board, interval);
     }
@@ -130,7 +130,7 @@ impl RightRig {
     /// Calls [`AirHost::settle_in`].
     ///
     /// # Panics
-    /// Panics for the same reasons, or if the laptop does not use bumble.
+    /// Panics if [`AirHost::settle_in`] does, or if the laptop does not use bumble.
     pub fn settle_in(&mut self) {
         self.air.as_mut().expect("bumble's laptop").settle_in(&mut self.board);
     }

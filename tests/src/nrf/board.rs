@@ -61,12 +61,12 @@ struct World {
     /// Number of cycles of executed instructions, and its value when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block was not
-    /// executed yet, and [`ANSWERED`] if it is a function that the emulator executes itself.
+    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
+    /// and [`ANSWERED`] if the emulator executes the function itself.
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses and numbers. There are few, because every block searches all of them.
+    /// Addresses with the numbers of their probes. There should be few, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
     /// Probes that fill the stack with a pattern.

@@ -16,21 +16,21 @@ use super::softdevice::central::Happening;
 pub struct Right {
     /// Cycle at which the frame was complete on the wire.
     pub at: u64,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub sequence: u16,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub board_time_ms: u32,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub events: u8,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub label: u8,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub confidence: u8,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub event_window_end_ms: u32,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub scores: Vec<u8>,
-    /// The field as in the frame.
+    /// The value of this field in the frame.
     pub health: u8,
 }
 
@@ -89,7 +89,7 @@ impl RightRig {
         Self::ble_of_kind(Kind::Nano33, motion)
     }
 
-    /// Does the same with a board of this kind.
+    /// Starts such a session with a board of this kind.
     pub fn ble_of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
         let variant = if kind == Kind::Xiao { Variant::Xiao } else { Variant::Ble };
         let mut board = Board::of_kind(kind, image(variant), Boot::SoftDevice, motion);
@@ -98,7 +98,7 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// Does the same with a board at rest, until it is connected, bonded and subscribed.
+    /// Starts such a session with a board at rest, and waits until it is connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();

@@ -260,8 +260,8 @@ impl Visit {
         }
     }
 
-    /// Requests long packets and the faster radio mode, and then one connection interval after another until the laptop
-    /// accepts one, or keeps its own.
+    /// Requests long packets and the faster radio mode. Then requests one connection interval after another,
+    /// until the laptop accepts one or keeps its own.
     async fn negotiate(&self, stack: &'static Stack) {
         let raw = self.link.raw();
         let _ = with_timeout(ANSWER, raw.update_data_length(stack, LONG_PACKET.0, LONG_PACKET.1)).await;

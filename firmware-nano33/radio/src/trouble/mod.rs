@@ -67,8 +67,8 @@ type Resources = HostResources<DefaultPacketPool, 1, 1, 1, { REMEMBERED + 1 }>;
 const PACKETS: (u8, u8) = (4, 3);
 /// Size of the largest packet on the air without its header, which is four bytes more than the largest MTU.
 const PACKET: u16 = PAYLOAD as u16 + 7;
-/// Memory that the controller needs according to the formulas of its `sdc.h`: a link with those buffers, the part that
-/// all links share, an advertiser with 31 bytes and a list of eight addresses, rounded up to the next hundred.
+/// Memory that the controller needs according to the formulas of its `sdc.h`, for a link with those buffers,
+/// the part that all links share, an advertiser with 31 bytes, and a list of eight addresses (rounded up to 100 bytes).
 const CONTROLLER_BYTES: usize =
     (923 + 7 * (PACKET as usize + 15) - 2 * 42 + 17 + 574 + 68).next_multiple_of(100);
 

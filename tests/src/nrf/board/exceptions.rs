@@ -12,7 +12,7 @@ const STACKED: [RegisterARM; 6] =
 /// and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
-/// Jumping to an address from here on means the end of a handler.
+/// A jump to this address or a higher one ends a handler.
 const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
 
 /// Size in bytes of a frame on the stack, with and without the registers of the floating-point unit.
