@@ -49,7 +49,7 @@ enum Act {
     Tilt(f64, f64, [f64; 2]),
     /// A finger is bent once (0 index, 1 middle).
     Bend(f64, usize),
-    /// Both fingers are bent between two times, which is the stop.
+    /// Both fingers are bent between two times, which stops the robot.
     Fist(f64, f64),
 }
 

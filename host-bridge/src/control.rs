@@ -63,7 +63,7 @@ pub struct LinkReport {
     pub time_ms: u64,
     /// The hand to which the link belongs.
     pub hand: Hand,
-    /// The reason why the link is closed with a remedy, or `None` if it is open.
+    /// The reason why the link is closed, and a remedy. `None` means that the link is open.
     pub closed: Option<String>,
 }
 

@@ -357,7 +357,7 @@ fn nothing_is_kept_at_address_0_of_the_eeprom() {
 fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     let (mut session, _hand) = powered(&BLANK, 14);
     session.run_ms(1000.0);
-    // The program enters an endless loop with interrupts disabled, the end of a program in the C runtime.
+    // The program enters an endless loop with interrupts disabled, as at the end of a C program.
     session.nano.jump(image::stop_program());
     let heard = session.run_ms(2000.0);
     // The interrupt remains pending, so the second time-out of the watchdog resets the board.

@@ -231,8 +231,8 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
 }
 
 /// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
-/// The sensor must keep running, because the dead-man rule requires fresh samples,
-/// and because a gesture's window starts before the gesture is detected.
+/// The sensor must keep running: the dead-man rule requires fresh samples.
+/// In addition, the window of a gesture starts before the gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
     println!(

@@ -19,8 +19,8 @@ use embassy_time::Duration;
 
 /// Maximum bytes of one notification or write: the largest MTU without its three bytes of header.
 pub const PAYLOAD: usize = 244;
-/// Connection intervals that the board requests one after another, in units of 1.25 ms:
-/// 7.5 to 15 ms, then 15 ms for systems that refuse shorter ones.
+/// Connection intervals that the board requests one after another, in units of 1.25 ms.
+/// It first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
 pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);

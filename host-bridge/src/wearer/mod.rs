@@ -8,8 +8,8 @@
 //! ```
 //!
 //! The control thread polls this in every turn and never waits; the other thread reads files and trains. Gestures that
-//! are shown move nothing: the board sends samples instead of gestures, and the bridge ignores any gesture until the
-//! new model is on the board.
+//! are shown move nothing: the board sends samples instead of gestures, and the bridge ignores all gestures
+//! until the new model is on the board.
 
 mod kept;
 

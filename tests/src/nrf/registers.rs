@@ -1,4 +1,4 @@
-//! The common parts of all emulated sensors with one bus address: 128 byte registers, of which a transfer selects one.
+//! The common parts of all emulated sensors with one bus address. They have 128 registers of one byte, and a transfer selects one.
 //! A [`Motion`] moves each sensor, and each sensor has its own clock.
 
 use super::i2c::Sensor;

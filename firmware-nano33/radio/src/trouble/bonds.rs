@@ -54,7 +54,7 @@ impl Bonds {
         }
     }
 
-    /// Gives the stack exactly the stored keys. A laptop that paired outside the permitted time has replaced some.
+    /// Gives the stack exactly the stored keys. A laptop that paired outside the permitted time has replaced some of them.
     pub fn restore(&self, stack: &Stack) {
         let laptops = *self.0.borrow();
         loop {
