@@ -24,7 +24,7 @@ use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 use crate::tilt::TiltDrive;
 
-/// Instead of a port: the user controls the hand with keys.
+/// This value replaces a port: the user controls the hand with keys.
 pub const KEYBOARD: &str = "keyboard";
 
 /// Maximum speed of the base in m/s and rad/s if boards are accepted without a bond.
@@ -84,9 +84,9 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ports {
-    /// A port, `keyboard`, or empty for none.
+    /// The value is a port, `keyboard`, or empty for no hand.
     pub left: String,
-    /// A port, `keyboard`, or empty for none.
+    /// The value is a port, `keyboard`, or empty for no hand.
     pub right: String,
     /// Baud rate of the serial lines.
     pub baud: u32,

@@ -84,7 +84,7 @@ fn watch_panics(
     let (quit, told, panicked) = (Arc::clone(quit), Arc::clone(told), Arc::clone(panicked));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        // The halt comes before the message.
+        // The robot is halted before the message is printed.
         quit.store(true, Ordering::SeqCst);
         told.store(true, Ordering::SeqCst);
         let thread = std::thread::current().name().unwrap_or("a thread").to_owned();
@@ -153,7 +153,7 @@ mod system {
         [SIGINT, SIGTERM].into_iter()
     }
 
-    /// A closed console ends its programs itself.
+    /// Windows ends the programs of a closed console itself.
     pub fn terminal_is_gone() -> bool {
         false
     }
@@ -174,7 +174,7 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// The test below runs this function in a separate process, because it affects the whole process.
+    /// The test below runs this function in a separate process, because the function affects the whole process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

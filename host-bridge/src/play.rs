@@ -28,7 +28,7 @@ use crate::cmd::web::WebArgs;
 
 /// Interval at which the terminal is drawn.
 const DRAW_INTERVAL: Duration = Duration::from_millis(33);
-/// Interval at which the session advances.
+/// Interval at which the session's time advances.
 const TURN: Duration = Duration::from_millis(4);
 
 /// Options of all commands that play a session.

@@ -38,7 +38,7 @@ pub struct CalibrationTable {
     pub zero: [i16; 3],
     /// Sums for straight index and middle fingers.
     pub rest: [u16; 2],
-    /// Sums for bent index and middle fingers, each if present.
+    /// Sums for bent index and middle fingers.
     pub bend: [u16; 2],
 }
 
@@ -134,7 +134,7 @@ impl CalibrationTable {
 }
 
 impl Expect {
-    /// Compares the expectation with the actual result.
+    /// Compares the expected result with the actual one.
     pub fn check(&self, summary: &Summary) -> Vec<Check> {
         let list = |names: &[String]| names.join(", ");
         let check = |what, expected: String, got: String| {

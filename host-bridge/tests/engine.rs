@@ -105,7 +105,7 @@ fn q_and_z_change_the_cap_and_numbers_start_motions() {
     rig.run(300);
     assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
     rig.press(HandKey::Slower);
-    // A held bend counts after 130 ms, according to the board's rules.
+    // A bend that is held counts after 130 ms, according to the board's rules.
     rig.run(200);
     assert!((rig.live.bridge().caps().linear_m_s - 0.495).abs() < 1e-9);
     rig.press(HandKey::Gesture(6));

@@ -157,7 +157,7 @@ fn motions_with_limited_jerk_are_the_same_too_and_take_longer() {
         reached.expect("the arm was home by then").time_ms
     };
     let (even_ms, smooth_ms) = (first_pose_ms(&setup()), first_pose_ms(&smooth));
-    // With a jerk of 4.3 rad/s³, an acceleration of 0.43 rad/s² takes 100 ms to build up.
+    // If the jerk is limited to 4.3 rad/s³, an acceleration of 0.43 rad/s² takes 100 ms to build up.
     assert_eq!(smooth_ms - even_ms, 100);
 }
 
@@ -378,7 +378,7 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
     assert!(joints.len() > 900);
     let mut changed = file;
-    // The number follows both names and the count in the record.
+    // In the record, the number follows both names and the count.
     let at = joints[800];
     let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
     let count = (after..).find(|&i| changed[i] == 9).unwrap();

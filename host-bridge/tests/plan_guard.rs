@@ -75,7 +75,7 @@ fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
 
 #[test]
 fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_touch() {
-    // A shelf board at the height of the arm, above the base.
+    // A shelf board is at the height of the arm, above the base.
     let board = WALL.replace("center_m = [2.0, 0.0, 0.25]", "center_m = [2.0, 0.0, 0.9]");
     let mut reaching = [0.0; JOINTS];
     reaching[1] = 1.5;
@@ -85,7 +85,7 @@ fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_to
         robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
-    // The arm extends 0.9 m from its mount at 0.1 m, towards a board at 1.9 m.
+    // The arm extends 0.9 m from its mount at 0.1 m, towards a shelf board at 1.9 m.
     assert!((0.75..0.95).contains(&robot.odometry().x_m), "{}", robot.odometry().x_m);
 }
 
@@ -132,7 +132,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
     let (mut nearest_m, mut stops, mut motions, mut refused) = (f64::INFINITY, 0, 0, 0);
     let (mut slowest_ms, mut way_m) = (0, 0.0);
     for seed in 0..runs {
-        // Every third run limits the jerk.
+        // Every third run uses a limit for jerk.
         let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, pose("ready"));
         let limits = *planner.limits();
         let mut jerks = Jerks::new(&robot);

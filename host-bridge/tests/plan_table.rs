@@ -124,7 +124,7 @@ fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
     println!("place → place-top-right: via home {papers_s:.2} s, direct {direct_s:.2} s");
     assert_eq!(robot.arm().joints_rad, pose("place-top-right"));
     assert_eq!(papers.arm().joints_rad, robot.arm().joints_rad);
-    // The path via home takes 6.1 s and 6.4 s. On the straight path joint 1 turns by 1.654 rad.
+    // The two parts of the path via home take 6.1 s and 6.4 s. On the straight path, joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
     assert_eq!(robot.picture().guard_stops, 0);
 }

@@ -234,7 +234,7 @@ impl Robot for Moody {
     }
 }
 
-/// The newest state as observers receive it, and as a Foxglove client receives it.
+/// Returns the newest state in two forms: as observers receive it, and as a Foxglove client receives it.
 #[derive(Clone, Default)]
 struct Surfaces {
     snapshot: Arc<Mutex<Option<Snapshot>>>,
@@ -382,7 +382,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert!(door.robot().simulator.at_rest());
 }
 
-/// A motion of three steps: a move, a wait and another move.
+/// The motion has three steps: a move, a wait and another move.
 const OF_THREE: &str = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"pick-up\" }, { wait_s = 4 }, { to = \"place\" }]\n\
                         [motions]\nto-fro = \"own\"\n";
 
@@ -409,7 +409,7 @@ fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutr
     let takes_ms = rig.now_ms - from_ms;
     let first_rest = rests.iter().skip(20).position(|rest| *rest).unwrap() as u64 + 20;
     println!("the whole takes {takes_ms} ms, it waits from {} ms on", 100 * first_rest);
-    // Times during the first move, the wait, and the last move.
+    // These times are during the first move, the wait, and the last move.
     let moments_ms = [2000, 100 * first_rest + 1500, takes_ms - 3000];
     type Holds = fn(&mut Rig);
     let holds: [(&str, Holds, Holds); 5] = [

@@ -387,7 +387,7 @@ fn a_restarted_board_needs_neutral_again_and_its_counters_start_anew() {
     rig.run(20);
     let cap = rig.bridge.caps().linear_m_s;
     rig.point(Heading::Forward, 1000);
-    // The board restarts, and its clock, sequence number and counters start again at 0.
+    // The board restarts, so its clock, sequence number and counters start again at 0.
     rig.board_ahead_ms = 0_u32.wrapping_sub(rig.now_ms as u32);
     rig.left.sequence = 0;
     rig.left.index_bends = 5;

@@ -101,7 +101,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
     let mut writer = options.create(NoSeek::new(Sink::new(storage))).unwrap();
     copy(&mut writer, "");
     writer.flush().unwrap();
-    // Leaking the writer leaves the file without its end.
+    // If the writer is leaked, the file has no end.
     std::mem::forget(writer);
     let indexed = |file: &Path| {
         let bytes = std::fs::read(file).unwrap();

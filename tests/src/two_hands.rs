@@ -221,7 +221,7 @@ pub struct TwoHands {
     pub bridge: Bridge,
     /// The simulated robot.
     pub robot: Director<Simulator>,
-    /// All events on the bridge, with the desk's time.
+    /// All events on the bridge, each with the desk's time.
     pub log: Vec<BridgeEvent>,
     /// The function that disturbs the cables.
     pub disturbance: Option<Disturbance>,

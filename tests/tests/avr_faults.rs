@@ -408,11 +408,11 @@ fn the_watch_on_the_reference_sees_a_wrong_one() {
     session.run_ms(100.0);
 }
 
-/// Poses of the two calibrations, before and after the power cut.
+/// Poses of the two calibrations: the one before the power cut, and the one after it.
 const OLD_POSE: f64 = 0.0;
 const NEW_POSE: f64 = 0.12;
 
-/// Calibrates neutral at `pose` (radians forward).
+/// Calibrates neutral at `pose`, in radians forward.
 fn calibrate_at(session: &mut LeftRig, hand: &Rc<RefCell<Hand>>, pose: f64) -> AckResult {
     hand.borrow_mut().tilt(pose, 0.0, now_s(session), 0.0);
     session.run_ms(100.0);

@@ -49,7 +49,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     assert_eq!(reversed, 0);
 }
 
-/// 10 minutes, half of them by the wearers whose components make each tilt appear largest.
+/// The tremor lasts 10 minutes in total, half of it with wearers whose components make each tilt appear largest.
 #[test]
 fn tremor_of_11_degrees_never_commands() {
     let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 10) };

@@ -113,8 +113,8 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
         cost.awake_share * 100.0
     );
-    // From the nRF52840 product specification: 52 uA/MHz from flash at 3 V with DC/DC converter, and
-    // 3.16 uA asleep with RAM and RTC.
+    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
+    // It also specifies 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,

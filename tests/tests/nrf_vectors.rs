@@ -1,6 +1,6 @@
 //! Checks in the linked images that no used interrupt leads to the default handler.
 //!
-//! Two register crates in one image can link silently without some handlers (see `firmware-nano33/pac`).
+//! If one image contains two register crates, it can link silently without some handlers (see `firmware-nano33/pac`).
 #![cfg(feature = "nrf")]
 
 use tests::nrf::build::{Variant, image};

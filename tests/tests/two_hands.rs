@@ -253,7 +253,7 @@ impl Steered {
     fn both_move(&mut self) {
         self.tilt(0.0);
         self.desk.run_until("armed", 8000, TwoHands::is_armed);
-        // Half a second before the next stroke.
+        // The tilt begins half a second before the next stroke.
         let strokes_before = (self.desk.now_ms() + 500).saturating_sub(4000).div_ceil(10_000);
         self.desk.run_ms(3500 + 10_000 * strokes_before - self.desk.now_ms());
         self.tilt(FORWARD_RAD);
@@ -385,7 +385,7 @@ fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
 
 #[test]
 fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
-    // A damaged frame at an unfavourable moment costs a second of driving, and in eight seconds some driving remains.
+    // A damaged frame at an unfavourable moment stops driving for a second, so some driving remains in eight seconds.
     let seconds = if is_full() { 60 } else { 8 };
     let (mut nano, hand) = left_hand(33);
     nano.run_ms(600.0);

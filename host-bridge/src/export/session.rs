@@ -24,9 +24,9 @@ pub struct Streams {
     pub joint_names: Vec<String>,
     /// Positions of the joints in rad (or m).
     pub joints: Vec<(u64, Vec<f64>)>,
-    /// Position and motion of the base: x and y in m, turn in rad, m/s, rad/s.
+    /// Position and motion of the base: x and y in m, turn in rad, speed in m/s, turn rate in rad/s.
     pub base: Vec<(u64, [f64; 5])>,
-    /// Commanded speed of the base: m/s, rad/s.
+    /// Commanded speed of the base: forward in m/s, turn rate in rad/s.
     pub asked: Vec<(u64, [f64; 2])>,
     /// The events with their times.
     pub events: Vec<(u64, Happened)>,
@@ -62,7 +62,7 @@ pub enum ExportError {
     /// A required stream is missing.
     #[error("the file has no messages of {0}, which an episode needs; record the session whole")]
     Missing(&'static str),
-    /// The joints change within the session.
+    /// The joints are not the same during the whole session.
     #[error("the joints change within the file, from {0} to {1}; export sessions of one robot")]
     Joints(String, String),
     /// The given files cannot be combined.

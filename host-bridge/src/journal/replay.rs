@@ -369,7 +369,7 @@ mod tests {
             let error = replay(bytes).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
         }
-        // A complete file of another program: magic, header, data end, footer, magic.
+        // This is a complete file of another program: magic, header, data end, footer, magic.
         let mut file = Vec::new();
         let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut file)).unwrap();
         writer.finish().unwrap();

@@ -42,7 +42,7 @@ pub struct Settings {
     pub name: Option<String>,
     /// The folder that contains a folder for each wearer.
     pub folder: PathBuf,
-    /// The model to start from; `None` = the bundled one.
+    /// The model to start from; `None` means the bundled one.
     pub model: Option<PathBuf>,
 }
 
@@ -61,7 +61,7 @@ enum Offer {
 
 /// A job for the other thread.
 enum Job {
-    /// Find the wearer's possible actions for a board with this model.
+    /// Find out what the wearer can do with a board that runs this model.
     Look { model_id: u32, labels: Vec<String> },
     /// Train with the recordings that were shown.
     Learn(Shown),

@@ -137,7 +137,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // The board falls silent while the base drives.
+    // The board stops sending while the base drives.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     desk.pass(Duration::from_millis(500));
@@ -163,7 +163,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
 
-    // The robot receives zero before the program ends.
+    // The robot receives a speed of zero before the program ends.
     bridge.interrupt();
     let (status, said, errors) = bridge.end();
     assert!(status.success(), "{errors}");
@@ -338,7 +338,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
     second.has("zero", |v| speed(v).is_some_and(|s| s == (0.0, 0.0)));
 }
 
-/// The base's speed according to the robot's controller.
+/// The speed of the base, as the robot's controller reports it.
 fn base_speed(value: &Value) -> Option<f64> {
     is(value, "base").then(|| number(&value["linear"]))
 }
@@ -460,7 +460,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
             // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
-            // The newest report by that time counts, with a tolerance for the clocks of two programs.
+            // The newest report before that time counts, with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
@@ -547,7 +547,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // Braking time at the paper's scaling, plus one cycle of the controllers and one of their observer.
+    // The limit is the braking time at the paper's scaling, plus one cycle of the controllers and one of their observer.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
@@ -626,7 +626,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
         parameters.extend((value.len() as u16).to_le_bytes());
         parameters.extend(value);
     };
-    // UDPv4 address 127.0.0.1 with an unused port.
+    // This is the UDPv4 address 127.0.0.1 with an unused port.
     let mut locator = vec![1, 0, 0, 0];
     locator.extend(9_u32.to_le_bytes());
     locator.extend([0; 12]);
@@ -940,7 +940,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         assert!(v["became"] == "dropped" || age_ms(v) <= 500.0, "{v}");
         assert!(v["became"] == "acted" || v["became"] == "dropped", "{v}");
     }
-    // One second after the end of the losses, all messages arrive again.
+    // One second after the losses have ended, all messages arrive again.
     let after: Vec<f64> =
         speeds.iter().map(|v| number(&v["t"])).filter(|t| (end_s + 1.0..end_s + 4.0).contains(t)).collect();
     let gap_ms = after.windows(2).map(|t| (t[1] - t[0]) * 1000.0).fold(0.0, f64::max);

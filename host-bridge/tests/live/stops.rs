@@ -2,10 +2,10 @@
 //! Each test is a row of the campaign (`cargo xtask campaign`).
 //!
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
-//! The operating system affects programs in wall-clock time (signals, terminals, floods, pauses).
+//! The operating system affects only programs in wall-clock time (by signals, terminals, floods, pauses).
 //! Most of these tests therefore also run in wall-clock time and wait for each expected result.
 //! Time limits are judged on a quiet machine ([`Lateness`]); a busy machine gets [`GRACE_MS`] more.
-//! The tests of recordings and of commands without a reader use a desk with simulated time.
+//! Two kinds of tests use a desk with simulated time: those of recordings, and those of commands without a reader.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _};

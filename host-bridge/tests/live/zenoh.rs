@@ -272,7 +272,7 @@ fn net(words: &str) {
 /// A pair of operator and robot.
 struct Pair {
     left: Double,
-    /// Makes gestures all the time; used only with an arm.
+    /// The operator makes gestures all the time; used only with an arm.
     _right: Option<Double>,
     bridge: Teller,
     robot: Teller,

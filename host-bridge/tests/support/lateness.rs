@@ -13,7 +13,7 @@ pub struct Lateness(Arc<Mutex<Seen>>);
 
 #[derive(Clone, Default)]
 struct Seen {
-    /// Delays with which this machine woke a sleeping thread.
+    /// Delays with which this machine woke a sleeping thread up.
     late_ms: Vec<f64>,
     /// Share of all processors used at normal priority, in each tenth of a second.
     taken: Vec<f64>,

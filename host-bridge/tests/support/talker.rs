@@ -26,7 +26,7 @@ const STATE_INTERVAL: Duration = Duration::from_millis(20);
 /// Additional data that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flood {
-    /// Zeros, as fast as the line accepts them.
+    /// The board sends zeros as fast as the line accepts them.
     Zeros,
     /// The newest state, sent repeatedly in valid frames.
     States,
@@ -39,7 +39,7 @@ pub enum Flood {
 pub struct Wish {
     pub heading: Heading,
     pub silent: bool,
-    /// Delay of all of the board's data.
+    /// Delay of all data that the board sends.
     pub delay: Duration,
     pub flood: Option<Flood>,
     over: bool,

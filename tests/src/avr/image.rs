@@ -1,4 +1,4 @@
-//! The image under test: exactly the file that `cargo xtask firmware avr` builds and users flash.
+//! The image under test is exactly the file that `cargo xtask firmware avr` builds and that users flash.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;

@@ -6,7 +6,7 @@
 //! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
 //! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
 //! Two errors are corrected here: simavr sleeps without SMCR.SE,
-//! and its interrupting watchdog never resets a program with disabled interrupts.
+//! In addition, its interrupting watchdog never resets a program that has disabled interrupts.
 
 mod callbacks;
 
@@ -21,7 +21,7 @@ use simavr_ffi as ffi;
 
 /// Clock of the Nano.
 pub const CYCLES_PER_MS: u64 = 16_000;
-/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr's receiver needs.
+/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr uses.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
 /// Number of cycles between two checks for events. After a reset, about this many are missing in the count.
 const CYCLES_AT_ONCE: u64 = 160;
@@ -376,7 +376,7 @@ impl Nano {
         }
     }
 
-    /// Makes the board execute `sts address, value` and then nothing more, like a program with an error.
+    /// Makes the board execute `sts address, value` and then nothing else, as a program with an error might do.
     pub fn execute_sts(&mut self, address: u16, value: u8) {
         const UNUSED_FLASH: usize = 0x7000;
         const R16: usize = 16;

@@ -13,12 +13,12 @@ use super::image;
 use super::session::{BLANK, LeftRig, Seen};
 use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 
-/// The method of choosing a wearer's sensors and neutral pose.
+/// How a wearer's sensors and neutral pose are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Parts {
-    /// Drawn uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
+    /// They are drawn uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
     Drawn,
-    /// The worst case that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
+    /// They are the worst case, in which every tilt looks largest: sensitivity + 10 %, neutral 10° off level.
     Loudest,
 }
 
@@ -27,7 +27,7 @@ pub enum Parts {
 pub struct Job {
     /// Seed of all random values.
     pub seed: u64,
-    /// The method of choosing the parts.
+    /// How the parts are chosen.
     pub parts: Parts,
     /// Number of trials (tilts per direction, or bends per finger), or seconds of tremor.
     pub count: u32,

@@ -15,7 +15,7 @@ use super::nano::{CYCLES_PER_MS, PinInput, Voltages};
 
 /// Supply voltage of the sensors, and reference voltage of the converter.
 pub const SUPPLY_MV: f64 = 3300.0;
-/// Resistor from A3 and A4 to ground.
+/// Resistance of each resistor that connects A3 or A4 to ground.
 const DIVIDER_OHM: f64 = 22_000.0;
 
 /// Draws a number uniformly from a range.

@@ -1,4 +1,4 @@
-//! The left hand at the desk: the Nano's image in simavr, with its bootloader and its USB-serial chip.
+//! The left hand on the desk: the Nano's image in simavr, with its bootloader and its USB-serial chip.
 //! The chip resets the board whenever a program opens the port.
 
 use std::cell::RefCell;

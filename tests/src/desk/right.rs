@@ -1,4 +1,4 @@
-//! The right hand at the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
+//! The right hand on the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
 
 use std::cell::RefCell;
 use std::rc::Rc;

@@ -128,7 +128,7 @@ impl Kind {
         }
     }
 
-    /// The pins follow the boards' documentation and, for the XIAO, Zephyr's board files.
+    /// The pins are those in the boards' documentation and, for the XIAO, in Zephyr's board files.
     fn wiring(self) -> Wiring {
         match self {
             Self::Nano33 | Self::Nano33Rev2 => Wiring {
@@ -450,7 +450,7 @@ impl Board {
         self.start();
     }
 
-    /// Continues the program at the start of this function.
+    /// Lets the program continue at the start of this function.
     pub fn jump(&mut self, function: &str) {
         let address = self.image.function(function);
         self.set_reg(RegisterARM::PC, address | 1);

@@ -14,7 +14,7 @@ pub trait Sensor {
     fn write(&mut self, address: u8, bytes: &[u8], now: u64);
     /// Performs a read transfer from the selected register.
     fn read(&mut self, address: u8, bytes: &mut [u8], now: u64);
-    /// Loses all settings, as after a power dip.
+    /// Makes the sensor lose all settings, as after a power dip.
     fn power_cycle(&mut self);
     /// Moves the sensor to another hand.
     fn set_motion(&mut self, motion: Box<dyn Motion>);

@@ -12,7 +12,7 @@ use super::time::{HZ, us};
 const FIFO_WORDS: usize = 2047;
 const RESET: u64 = us(50);
 const CTRL3_C: u8 = 0x12;
-/// A transfer continues with the next register.
+/// If this bit is set, a transfer continues with the next register.
 const INCREMENTS: u8 = 0x04;
 /// Time from the start of the gyroscope to its first value.
 const GYRO_START_SECONDS: f64 = 0.035;

@@ -242,7 +242,7 @@ impl Lsm9ds1 {
                 let byte = set[usize::from(index / 2)].to_le_bytes()[usize::from(index % 2)];
                 self.ag[0x17] &= !3;
                 self.ag[0x27] &= !3;
-                // Reading the last byte of the accelerometer removes the set.
+                // After the last byte of the accelerometer was read, the set is removed.
                 if register == 0x2D {
                     self.fifo.pop_front();
                 }
@@ -300,7 +300,7 @@ impl Sensor for Lsm9ds1 {
                 *byte |= 1 << 3;
             }
             if increments {
-                // A burst that passes the gyroscope's output registers continues with the accelerometer's.
+                // A burst that reads past the gyroscope's output registers continues with those of the accelerometer.
                 self.selected.1 = match (die, register) {
                     (Die::AccelGyro, 0x1D) => 0x28,
                     _ => (register + 1) & 0x7F,

@@ -1,4 +1,4 @@
-//! SAADC: one single-ended channel with the internal reference of 0.6 V and a gain of 1/6 (embassy-nrf's default).
+//! SAADC: one single-ended channel with an internal reference of 0.6 V and a gain of 1/6 (embassy-nrf's default).
 //! The range is therefore 0 to 3.6 V in 12 bits.
 
 use super::events::Events;

@@ -122,7 +122,7 @@ impl ClockPower {
     }
 }
 
-/// RNG: pseudo-random, seeded by the test.
+/// RNG: generates pseudo-random numbers from the test's seed.
 #[derive(Clone, Debug, Default)]
 pub struct Rng {
     /// Events of this peripheral.

@@ -185,7 +185,7 @@ impl Twim {
             0x000 if value & 1 != 0 && enabled => self.begin(Doing::Receiving, now),
             0x008 if value & 1 != 0 && enabled => self.begin(Doing::Sending, now),
             0x014 if value & 1 != 0 && enabled => {
-                // A stop also needs a free line.
+                // A stop condition also needs a free line.
                 if self.doing != Doing::Stuck {
                     self.begin(Doing::Stopping, now);
                 }

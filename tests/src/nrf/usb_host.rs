@@ -21,7 +21,7 @@ enum Request {
     ConfigurationHead,
     Configuration(u8),
     Configure,
-    /// Bits per second of the line.
+    /// Bit rate of the line, in bits per second.
     Baud(u32),
     /// Whether a program has opened the port.
     Open(bool),
@@ -104,7 +104,7 @@ impl UsbHost {
         self.bulk.is_some() && self.to_ask.is_empty() && self.asked.is_none()
     }
 
-    /// Continues with the next request.
+    /// Sends the next request of the enumeration.
     ///
     /// # Panics
     /// Panics if the device does not answer like a serial port with Arduino's ids.

@@ -1,6 +1,6 @@
 //! USBD: the USB device controller, with a host on the other side of the cable.
 //!
-//! The test controls the host: sequential control transfers, and packets to and from bulk endpoints.
+//! The test controls the host, which performs control transfers one after another and exchanges packets with bulk endpoints.
 //! The controller answers SET_ADDRESS itself, like the real one.
 
 use std::collections::VecDeque;

@@ -150,7 +150,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // Two types of silence: a disconnected cable, and a board whose program hangs with an open port.
+    // There are two types of silence: a disconnected cable, and a board whose program hangs while its port is open.
     type Silence = fn(&LeftStation);
     let silences: [(&str, Silence); 2] =
         [("its cable is pulled", |left| left.pull()), ("its program hangs", |left| left.pace(0.0))];

@@ -15,7 +15,7 @@ const GONE: Duration = Duration::from_millis(200);
 pub trait Board {
     /// Milliseconds since power-on, including resets.
     fn now_ms(&self) -> u64;
-    /// Runs until this time. The start of the board may have passed it already.
+    /// Runs until this time, which the board's start may already have passed.
     fn run_until_ms(&mut self, ms: u64);
     /// Returns the bytes sent since the last call.
     fn sent(&mut self) -> Vec<u8>;

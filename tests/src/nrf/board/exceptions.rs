@@ -106,7 +106,7 @@ impl Board {
 
     pub(super) fn execute(&mut self, until: u64) {
         self.uc.get_data_mut().stop = None;
-        // The end of the run also counts as an event.
+        // The requested end of the run also counts as an event.
         let soc = self.soc();
         soc.due = soc.due.min(until);
         let pc = self.reg(RegisterARM::PC) | 1;
@@ -138,7 +138,7 @@ impl Board {
         }
     }
 
-    /// S140's own interrupts end a sleep, and violations of its rules end the run.
+    /// S140's own interrupts end a sleep. If the image violates S140's rules, the run ends.
     ///
     /// # Panics
     /// Panics if the image has violated a rule of S140.

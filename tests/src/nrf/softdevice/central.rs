@@ -28,12 +28,12 @@ pub enum Command {
     Disconnect,
 }
 
-/// An event on the laptop's side.
+/// An event that the laptop notices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happening {
     /// The link is established with this interval in units of 1.25 ms.
     Connected(u16),
-    /// The link ended for this reason of [`super::abi::reason`].
+    /// The link ended for one of the reasons in [`super::abi::reason`].
     Disconnected(u8),
     /// The board requested an interval within this range, in units of 1.25 ms.
     /// It also requested this latency, and a supervision timeout in units of 10 ms.

@@ -42,7 +42,7 @@ pub struct Core {
     pub sp: u32,
     /// Whether interrupts are masked.
     pub masked: bool,
-    /// First address after the image's statics.
+    /// First address after the statics of the image.
     pub statics_end: u32,
 }
 
@@ -64,7 +64,7 @@ pub struct SoftDevice {
     set: Option<AdvertisingSet>,
     beacon: Option<Beacon>,
     link: Option<Connection>,
-    /// The laptop in radio range.
+    /// The laptop that is in radio range.
     pub central: Central,
     /// The rules that the image has violated.
     pub rules: Rules,

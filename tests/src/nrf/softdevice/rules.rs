@@ -36,7 +36,7 @@ const PAGE_NAMES: [&str; 13] = [
     "MWU",
 ];
 /// Maximum time for which PRIMASK may delay S140's interrupts. Nordic does not specify it.
-/// A radio packet's turn-around takes 150 us, most of which S140 needs.
+/// A radio packet has a turn-around time of 150 us, most of which S140 needs.
 pub const LONGEST_PRIMASK: u64 = us(10);
 /// Maximum stack use of S140 in the application's stack, from its specification.
 pub const STACK_BYTES: u32 = 0x700;
@@ -48,7 +48,7 @@ pub const FORWARD_CYCLES: u64 = 40;
 /// Time that S140 takes from the core in a connection event.
 /// The values are typical ones from the SoftDevice specification ("BLE peripheral connection processor usage
 /// patterns"):
-/// 40 for preparation, 18 at the start, 30 after a packet, 90 at the end (all in us), and 40 us at priority 4 per packet.
+/// They are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end, and 40 per packet at priority 4.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }
@@ -97,8 +97,8 @@ impl Default for Config {
 
 impl Config {
     /// RAM that S140 needs from its start. Nordic documents no formula, so this estimate is above all known figures.
-    /// These are 5.6 KB without a link, 11 to 16 KB for one link with MTU 247,
-    /// and 56 KB for five links with 9 notifications.
+    /// These figures are 5.6 KB without a link, and 11 to 16 KB for one link with MTU 247.
+    /// For five links with 9 notifications, the figure is 56 KB.
     pub fn ram_bytes(&self) -> u32 {
         let link = 1500 + (24 + self.notifications as u32) * (u32::from(self.mtu) + 20);
         5752 + self.table + 16 * self.uuids as u32 + self.links * link
