@@ -6,7 +6,7 @@
 //! Both hands are simulated.
 //! The right hand is a demo wearer of `models synth`, whose data are never used for training.
 //! The left hand is generated here.
-//! It has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
+//! The left hand has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
 //!
 //! The script below is a list of planned actions.
 //! The expected final pose of the base is calculated from it without the simulator, as speed multiplied by time.

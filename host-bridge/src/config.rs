@@ -53,7 +53,7 @@ pub struct Config {
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
-    /// The conversion of a tilt to a speed within these caps: the paper's four headings, or proportional.
+    /// The conversion of a tilt to a speed within these caps: either the paper's four headings, or proportional speeds.
     pub drive: TiltDrive,
     /// How the left hand controls the arm while it is lent to it, and the tool's speed in that case. Off by default.
     pub jog: JogRules,
@@ -198,7 +198,8 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Returns the ports of the left and right hand, exchanged for left-handed users; empty without a port.
+    /// Returns the ports of the left and right hand, exchanged for left-handed users. An empty
+    /// text means no port.
     pub fn hand_ports(&self) -> [&str; 2] {
         let Ports { left, right, .. } = &self.ports;
         if self.left_handed { [right, left] } else { [left, right] }

@@ -63,7 +63,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
         .transforms;
     let children: BTreeSet<&str> = told.iter().map(|t| t.child_frame_id.as_str()).collect();
     assert_eq!(links, children);
-    // These are the names in ros2_kortex, with its prefix.
+    // These are link names as in ros2_kortex, including its prefix.
     for name in ["base_footprint", "left_base_link", "left_shoulder_link", "left_bracelet_link"] {
         assert!(links.contains(name), "{name} in {links:?}");
     }

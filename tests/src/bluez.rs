@@ -1,8 +1,8 @@
 //! Simulates BlueZ, the system's Bluetooth service, on a private D-Bus.
-//! It implements the part of the interface that is needed to find, connect and use one board. There is no radio.
+//! It implements only what is needed to find, connect and use one board. There is no radio.
 //!
 //! The board is any device on a serial port, such as an emulated board's pseudo-terminal.
-//! Its bytes become notifications, and writes become its input.
+//! Bytes from the board become notifications, and writes become input of the board.
 //! While the port does not exist, the board is out of range.
 //!
 //! Objects, properties and errors have the same names as in BlueZ 5.66 (`doc/*-api.txt`).

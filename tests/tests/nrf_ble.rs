@@ -154,7 +154,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
         100.0 * own as f64 / session.board.now() as f64
     );
     // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
-    // It also specifies 3.16 uA asleep with RAM and RTC.
+    // The specification also gives 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:.0} uA (radio and sensor come on top)",
         share * 0.052 * 64e3 + 3.16

@@ -114,7 +114,7 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
         cost.awake_share * 100.0
     );
     // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
-    // It also specifies 3.16 uA asleep with RAM and RTC.
+    // The specification also gives 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,
@@ -141,8 +141,8 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // Results in ../shared/reference/peers.md for the network with softmax, calculated from int8 inputs.
-    // They are the best value per column, and the results of the paper.
+    // Results of other implementations and of the paper, from ../shared/reference/peers.md.
+    // They apply to the network with softmax, calculated from int8 inputs.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -198,10 +198,11 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
 }
 
 /// Current in mA of each sensor as the images configure it, from its data sheet.
-/// The values are for the LSM9DS1 with gyroscope (4.0), accelerometer and magnetometer (0.6); BMI270 in performance mode;
-/// LSM6DS3TR-C in high-performance mode.
+/// The LSM9DS1 has 4.0 for the gyroscope and 0.6 for accelerometer and magnetometer. The BMI270 is in performance mode,
+/// and the LSM6DS3TR-C in high-performance mode.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
-/// nRF52840: 52 uA/MHz awake from flash at 3 V with DC/DC converter. The next value is the current asleep with RAM and clock.
+/// Current of the nRF52840: awake 52 uA/MHz, from flash at 3 V with DC/DC converter. The next value is for sleep with
+/// RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
 const ASLEEP_MA: f64 = 0.003_16;
 

@@ -299,7 +299,7 @@ fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
 fn a_laptop_that_hears_nothing_more_over_bumbles_link_stops_base_and_arm() {
     let mut steered = Steered::new(Cable::Air, 1);
     steered.both_move();
-    // Out of reach: both ends wait for the supervision timeout, the robot does not.
+    // The board is out of range. Both sides of the link wait for the supervision timeout, but the robot does not.
     steered.desk.right.as_mut().unwrap().board.controller().in_range = false;
     say("right hand (bumble) out of reach", steered.halts(Which::Right));
     assert!(steered.desk.right.as_ref().unwrap().board.is_connected());
@@ -366,7 +366,8 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
     say("right board touched at 1200 baud", steered.halts(Which::Right));
 }
 
-/// Noise of a cable, per thousand: damaged bytes from a board, and milliseconds in which additional bytes appear.
+/// Noise of a cable, in parts per thousand: of the bytes from a board that are damaged, and of the milliseconds in
+/// which additional bytes appear.
 /// The lines to the boards are always half full of noise.
 fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
     Box::new(move |_, bytes| {

@@ -17,7 +17,7 @@ use super::ros2::look;
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// The scene: one that is there keeps its text, and its arm's description is fetched anew; else it is written
+    /// The scene file: an existing one keeps its text and gets a new description of the arm; otherwise it is created
     #[arg(value_name = "SCENE.toml")]
     scene: PathBuf,
     /// First link of the arm, if the scene is new (else the robot's first)

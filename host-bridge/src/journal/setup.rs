@@ -16,7 +16,7 @@ use host_sim::Simulator;
 use crate::config::{Config, HandInput};
 use crate::robots::Stage;
 
-/// These values are described in the module documentation.
+/// The initial conditions of a session, see the module documentation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Setup {
     /// A one-line title for the user.

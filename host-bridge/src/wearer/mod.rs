@@ -72,7 +72,7 @@ enum Answer {
     Learnt(Result<Vec<u8>, String>),
 }
 
-/// This type is described in the module documentation.
+/// The wearer of the right hand during the first minute, see the module documentation.
 pub struct Wearer {
     jobs: SyncSender<Job>,
     answers: Receiver<Answer>,

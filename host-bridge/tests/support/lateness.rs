@@ -51,7 +51,7 @@ impl Lateness {
         Lateness(seen)
     }
 
-    /// Returns whether times measured meanwhile can be judged in a test that loads the processors itself.
+    /// Returns whether times measured since the start can be judged in a test that itself loads the processors.
     /// In nine of ten cases, a sleep must have ended within 2 ms, and other programs must have left half of the processors.
     pub fn had_room(&self) -> bool {
         at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
@@ -66,7 +66,7 @@ impl Lateness {
         in_time
     }
 
-    /// Returns whether times measured meanwhile can be judged.
+    /// Returns whether times measured since the start can be judged.
     /// Nine of ten sleeps must have ended within 2 ms.
     /// In nine of ten tenths of a second, work at normal priority must have left some processor time.
     /// The second condition is necessary because a mostly idle thread is woken in time even on a fully loaded machine.
@@ -99,7 +99,7 @@ fn mostly(mut values: Vec<f64>) -> f64 {
 struct Ticks {
     /// Processor usage at normal priority.
     ordinary: f64,
-    /// The part used by this test and its programs.
+    /// The part of this usage that belongs to the test and its programs.
     ours: f64,
     all: f64,
 }

@@ -34,7 +34,7 @@ pub struct Job {
 }
 
 /// Maximum time, counted from the start of a movement that lasts up to 220 ms.
-/// It includes a tolerance of 80 ms, and 130 ms for distinguishing an intended tilt from a swing.
+/// The maximum time includes a tolerance of 80 ms, and 130 ms for distinguishing an intended tilt from a swing.
 pub const IN_TIME_MS: f64 = 430.0;
 
 /// The results of one wearer's tilts.

@@ -217,7 +217,7 @@ impl Wearer {
         let hand = self.hand.borrow();
         let (pitch, roll) = (hand.pitch.at(t) + shaken_pitch, hand.roll.at(t) + shaken_roll);
         // The larger tilt is the intended one.
-        // It is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
+        // The larger tilt is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
         if pitch.abs() >= roll.abs() {
             rolled(pitched(self.neutral_up, pitch), roll)
         } else {

@@ -83,7 +83,7 @@ impl Right {
     }
 
     /// Starts a board with the stock bootloader and only the compiled-in model, on this wearer's still hand.
-    /// Its port on the desk has this name.
+    /// The board's port on the desk has the name `name`.
     pub fn start(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
         let hand = Rc::new(RefCell::new(Hand::new(wearer)));
         let motion = Box::new(Shared(Rc::clone(&hand)));

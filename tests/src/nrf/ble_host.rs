@@ -1,5 +1,5 @@
 //! Simulates the Bluetooth of a laptop with its operating system and our bridge.
-//! It connects again and again, encrypts with stored keys or pairs, requests a large MTU, subscribes,
+//! The laptop connects again and again, encrypts with stored keys or pairs, requests a large MTU, subscribes,
 //! and then exchanges frames.
 
 use super::board::Board;

@@ -1,5 +1,5 @@
 //! Simulates a laptop at the USB cable.
-//! It enumerates the serial port with one request after another, sets its line parameters, and reads and writes bytes.
+//! The laptop enumerates the serial port request by request, sets its line parameters, and reads and writes bytes.
 
 use std::collections::VecDeque;
 

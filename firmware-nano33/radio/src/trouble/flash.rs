@@ -9,7 +9,7 @@ use embassy_sync::mutex::Mutex;
 use embassy_time::{Duration, Timer};
 use nrf_mpsl::MultiprotocolServiceLayer;
 
-/// The radio gave no time for flash.
+/// The radio left no time for a flash operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoSlot;
 
@@ -47,7 +47,7 @@ impl SlotFlash {
     /// Sets a page to all ones.
     ///
     /// # Errors
-    /// If the radio gave no slot for a quarter of a second.
+    /// Fails if the radio gave no slot for a quarter of a second.
     pub async fn erase_page(self, address: u32) -> Result<(), NoSlot> {
         let mut slots = SLOTS.lock().await;
         let slots = slots.as_mut().ok_or(NoSlot)?;

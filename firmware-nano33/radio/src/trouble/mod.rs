@@ -84,7 +84,7 @@ pub struct Parts {
     pub random: Peri<'static, RNG>,
 }
 
-/// The radio after its start.
+/// The radio, which has been started.
 pub struct Radio {
     mpsl: &'static MultiprotocolServiceLayer<'static>,
     random: Rng<'static, Blocking>,
