@@ -9,7 +9,7 @@
 //! The left hand has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
 //!
 //! The script below is a list of planned actions.
-//! The expected final pose of the base is calculated from it without the simulator, as speed multiplied by time.
+//! The expected final pose of the base is calculated from this list without the simulator, as speed times duration.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt::Write as _;

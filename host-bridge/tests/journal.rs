@@ -134,7 +134,8 @@ fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(summary.events.len() > 10);
         assert_eq!(summary.stops, 1);
     });
-    // The rates are 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s. The samples of both hands are added.
+    // The counts follow from rates of 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s, and from the samples of both
+    // hands.
     let counted = |topic: &str| again.messages.get(topic).copied().unwrap_or_default();
     let topics = ["/joint_states", "/odom", "/tf", "/cmd_vel", "/hands/state"].map(counted);
     assert_eq!(topics, [3000, 1500, 1500, 1500, 600]);

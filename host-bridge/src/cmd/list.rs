@@ -6,7 +6,7 @@ use anyhow::Result;
 use host_bridge::links::{PortAbout, SerialSettings, hints, ports};
 use host_bridge::talk::{Talk, TalkError, Who};
 
-/// Time for two attempts, because an older Nano takes 2 s to start.
+/// Time for two attempts, because an old Nano takes 2 s to start.
 const PATIENCE_MS: u64 = 4500;
 /// Environment variable that lists additional ports, separated by colons.
 /// Such ports include adapters that the system does not classify as USB, pseudo-terminals, and emulated boards.

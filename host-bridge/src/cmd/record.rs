@@ -212,7 +212,7 @@ enum Taken {
 }
 
 impl Taken {
-    /// Processes a message from this hand (`None` for other messages). Returns true if there are enough samples.
+    /// Processes a message. Returns whether there are enough samples, or `None` for messages without samples of this hand.
     fn push(&mut self, said: &Said) -> Option<Result<bool, CaptureProblem>> {
         match (self, said) {
             (Taken::Right(collector), Said::Raw(batch)) => Some(collector.push(batch)),

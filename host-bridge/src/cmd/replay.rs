@@ -33,8 +33,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
     /// Calibration of the left hand: a TOML file with zero, rest and bend, or `start` for taking neutral and rest
-    /// from the first 1.6 s
-    /// (hand level and still, fingers straight) [default: nominal parts]
+    /// from the first 1.6 s (hand level and still, fingers straight)
+    /// [default: nominal parts]
     #[arg(long, value_name = "FILE.toml|start", requires = "left")]
     calibration: Option<PathBuf>,
     #[command(flatten)]

@@ -16,21 +16,21 @@ use super::softdevice::central::Happening;
 pub struct Right {
     /// Cycle at which the frame was complete on the wire.
     pub at: u64,
-    /// The value of this field in the frame.
+    /// Sequence number of the frame.
     pub sequence: u16,
-    /// The value of this field in the frame.
+    /// Time of the window's newest sample on the board's clock.
     pub board_time_ms: u32,
-    /// The value of this field in the frame.
+    /// Number of gestures since the start, which wraps.
     pub events: u8,
-    /// The value of this field in the frame.
+    /// Index of the last event's gesture; 255 before the first event.
     pub label: u8,
-    /// The value of this field in the frame.
+    /// Confidence of the last event, where 0 to 255 means 0 to 1.
     pub confidence: u8,
-    /// The value of this field in the frame.
+    /// End of the window that triggered the last event.
     pub event_window_end_ms: u32,
-    /// The value of this field in the frame.
+    /// The network's int8 outputs as bytes, one per label.
     pub scores: Vec<u8>,
-    /// The value of this field in the frame.
+    /// Bits of the health; 0 means no problem.
     pub health: u8,
 }
 

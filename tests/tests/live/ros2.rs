@@ -73,7 +73,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     robot.catch_up();
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
 
-    // Tilts in the paper's four directions; both caps start at 0.5.
+    // The hand tilts in each of the paper's four directions. Both caps start at 0.5.
     let lateness = Lateness::watch();
     let mut delays_ms = Vec::new();
     let directions = [

@@ -1,7 +1,7 @@
 //! Writes to flash while the radio pauses: mpsl grants a time slot between radio events, in which we may use the
 //! flash controller.
 //!
-//! A page is erased in pieces of 10 ms. If the radio leaves no room, it is requested again with a higher priority,
+//! A page is erased in pieces of 10 ms. If the radio grants no slot, the request is repeated with a higher priority,
 //! so that one event of the link may be missed. The supervision timeout is two hundred times as long.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
