@@ -71,8 +71,8 @@ pub struct Config {
     pub ros2: Ros2Config,
     /// Maps labels to motions or poses. Labels without an entry keep the paper's motion.
     pub motions: BTreeMap<String, String>,
-    /// Maps labels to `begin`, `end`, `again`, `good` or `bad`:
-    /// these gestures mark episodes of a recorded session and do not move anything.
+    /// Maps labels to `begin`, `end`, `again`, `good` or `bad`.
+    /// These gestures mark episodes of a recorded session and do not move anything.
     pub marks: BTreeMap<String, Mark>,
     /// Your own motions, which replace bundled ones with the same name.
     pub motion: Vec<MotionTable>,

@@ -145,7 +145,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
         let wearer = RightWearer::evaluation(11, index);
         let recording = session(&wearer, 0, &script);
         let mut start_s = 0.0;
-        // Each wearer has another phase of hop and millisecond, and another sensor clock.
+        // Each wearer gets a different phase of hop and millisecond, and a different sensor clock.
         let mut right = Right::start(link, |zero_s| {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }

@@ -349,7 +349,7 @@ pub fn site(test: &str, measures: bool) -> Option<Site> {
     site_in("ros2", test, measures)
 }
 
-/// Does the same for another module of `live`.
+/// Returns the environment for a test in another module of `live`.
 pub fn site_in(module: &str, test: &str, measures: bool) -> Option<Site> {
     const INSIDE: &str = "BIMANUAL_OWN_NETWORK";
     let Ok(python) = std::env::var("BIMANUAL_ROS2_PYTHON") else {

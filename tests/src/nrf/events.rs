@@ -54,7 +54,7 @@ impl Events {
         })
     }
 
-    /// Writes a register of this block. Returns false if there is none at the offset.
+    /// Writes a register of this block. Returns false if the offset has no register.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x100..=0x1FC => {

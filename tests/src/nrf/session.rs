@@ -74,7 +74,7 @@ pub struct RightRig {
     pub ble: Option<BleHost>,
     /// Bumble's Bluetooth, if the laptop uses it. Another laptop is connected at D0 in this case too.
     pub air: Option<AirHost>,
-    /// Messages that this other laptop received.
+    /// Messages that the other laptop, at D0, received.
     pub uart: Listener,
 }
 

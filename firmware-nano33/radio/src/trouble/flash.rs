@@ -2,7 +2,7 @@
 //! flash controller.
 //!
 //! A page is erased in pieces of 10 ms. If the radio grants no slot, the request is repeated with a higher priority,
-//! so that one event of the link may be missed. The supervision timeout is two hundred times as long.
+//! which lets one event of the link be missed. The supervision timeout is two hundred times as long.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::mutex::Mutex;
