@@ -1,9 +1,9 @@
-//! Plans ways of an arm from a URDF between random poses, and writes them for a judge: `tests/arms/check.py`.
+//! Plans paths between random poses of an arm from a URDF, and writes them for the checker `tests/arms/check.py`.
 //!
 //! ```text
 //! cargo run -p host-bridge --features urdf --example arm-ways -- OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS
 //! ```
-//! ROOT or TIP may be `-`: the URDF's own. The arm stands on a post among two boxes that are as large as it is itself.
+//! If ROOT or TIP is `-`, the URDF's own is used. The arm stands on a post between two boxes of the arm's size.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,9 +16,9 @@ use host_bridge::robot::{Joints, Random};
 use host_bridge::scene::{ArmTable, Scene};
 use serde_json::json;
 
-/// The margin of plans is 10 mm: poses that are nearer to something are not asked for.
+/// Plans keep a margin of 10 mm, so poses that are closer to an obstacle are not requested.
 const CLEAR_M: f64 = 0.011;
-/// Samples per second of a way.
+/// Samples per second of a path.
 const RATE: f64 = 200.0;
 
 fn main() -> Result<()> {

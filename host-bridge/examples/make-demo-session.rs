@@ -4,12 +4,12 @@
 //! cargo run --release -p host-bridge --example make-demo-session [FOLDER]
 //! ```
 //! Both hands are simulated.
-//! The right hand is a demo wearer of `models synth`, who is never among the training wearers.
+//! The right hand is a demo wearer of `models synth`, whose data are never used for training.
 //! The left hand is generated here.
-//! It has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
+//! The left hand has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
 //!
 //! The script below is a list of planned actions.
-//! The expected final pose of the base is calculated from it as speed times time, without the simulator.
+//! The expected final pose of the base is calculated from this list without the simulator, as speed times duration.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt::Write as _;
@@ -31,7 +31,7 @@ const SEED: u64 = 20_261_122;
 /// Length of both recordings.
 const LENGTH_S: f64 = 84.0;
 
-/// Gestures of the right hand: start time, duration, motion. The second up-down releases the stop.
+/// Gestures of the right hand: each has a start time, a duration and a motion. The second up-down releases the stop.
 const RIGHT: [(f64, f64, Motion); 7] = [
     (3.0, 3.2, Motion::UpDown),
     (8.8, 3.2, Motion::ToFro),
@@ -47,9 +47,9 @@ const RIGHT: [(f64, f64, Motion); 7] = [
 enum Act {
     /// A tilt (pitch, roll in degrees) between two times.
     Tilt(f64, f64, [f64; 2]),
-    /// One bend of a finger (0 index, 1 middle).
+    /// A finger is bent once (0 index, 1 middle).
     Bend(f64, usize),
-    /// Both fingers are bent between two times, which means stop.
+    /// Both fingers are bent between two times, which stops the robot.
     Fist(f64, f64),
 }
 
@@ -83,7 +83,7 @@ fn left_script() -> Vec<Act> {
 }
 
 /// Calculates the final pose of the base and the final cap.
-/// Each command contributes its speed, at the current cap, times
+/// Each command contributes its speed (at the current cap) multiplied by
 /// its duration.
 fn plan(acts: &[Act]) -> (Odometry, f64) {
     // Delay from the start of closing the fingers to the stop: half the closing time, 20 ms debouncing, 300 ms holding.
@@ -125,7 +125,7 @@ fn smooth(share: f64) -> f64 {
     t * t * t * (10.0 - 15.0 * t + 6.0 * t * t)
 }
 
-/// Rises at `from_s` and falls at `to_s`, each within `ramp_s`.
+/// Rises at `from_s` and falls at `to_s`; each transition takes at most `ramp_s`.
 fn hump(time_s: f64, from_s: f64, to_s: f64, ramp_s: f64) -> f64 {
     smooth((time_s - from_s) / ramp_s) - smooth((time_s - to_s) / ramp_s)
 }

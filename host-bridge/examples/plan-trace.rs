@@ -5,10 +5,10 @@
 //!
 //! | file | columns |
 //! |---|---|
-//! | `SCENE.motions` | scene's motions at 100 Hz, one after the other: motion's number, seven angles in rad |
+//! | `SCENE.motions` | the scene's motions at 100 Hz, one after another: number of the motion, seven angles in rad |
 //! | `SCENE.tools` | with `--tools`: the same with the vision module and the 2F-85 on the flange, for `tests/arms/gen3.py` |
 //! | `SCENE.clearances` | seven angles, the flange's x y z in the arm's frame, shortest distance, all in m |
-//! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration; when it is halted, how long that takes, in s |
+//! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration, and the time to stop if the move is halted at its midpoint, in s |
 //! | `base.path` | every 2 ms: speed of the left and right wheel in rad/s, x, y, heading, path length |
 //!
 //! With `BIMANUAL_FULL=1` it writes 34 seeds per pair of poses instead of 2.
@@ -33,7 +33,7 @@ const SCENES: [(&str, &str); 3] = [
     ("bins", include_str!("../scenes/bins.toml")),
 ];
 
-/// What a judge with the makers' meshes has on the flange: `tests/arms/gen3.py`.
+/// Parts on the flange, for the checker that uses the makers' meshes: `tests/arms/gen3.py`.
 const TOOLS: &str = "\n[[tool]]\nname = \"gen3-vision\"\n[[tool]]\nname = \"2f-85\"\n";
 
 fn main() -> Result<()> {
@@ -132,7 +132,7 @@ fn moves(file: &Path) -> Result<()> {
     Ok(out.flush()?)
 }
 
-/// Writes 60 s of random speeds, each of which lasts one to three seconds.
+/// Writes 60 s of random speeds. Each speed lasts one to three seconds.
 fn base(file: &Path) -> Result<()> {
     let mut base = Base::new(BaseConfig::default());
     let mut random = Random::new(3);

@@ -1,25 +1,25 @@
-//! The file of another arm than the Gen3, and the meshes that it names (feature `urdf`).
+//! Reads the file of an arm other than the Gen3, and the meshes that the file refers to (feature `urdf`).
 
 use std::path::{Path, PathBuf};
 
 use crate::scene::ArmTable;
 
-/// Meshes of robots have a few megabytes.
+/// A robot's meshes have a size of a few megabytes.
 const MESH_MAX_BYTES: u64 = 200_000_000;
 
-/// A URDF that stands alone, and what is to be said about it.
+/// A URDF that needs no other files, and remarks about it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArmFile {
-    /// Its meshes are capsules in it, if they could be read.
+    /// The URDF, in which capsules replace all meshes that could be read.
     pub text: String,
-    /// For people.
+    /// Remarks for the user.
     pub notes: Vec<String>,
 }
 
-/// Reads the file that a scene names, seen from the scene's own file.
+/// Reads the file to which a scene refers; relative paths start at the scene's file.
 ///
 /// # Errors
-/// The file cannot be read, is no URDF, or has no such arm.
+/// Fails if the file cannot be read, is not a URDF, or has no such arm.
 pub fn read(urdf: &Path, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
     let beside = scene_file.parent().unwrap_or(Path::new(""));
     let file = beside.join(urdf);
@@ -28,10 +28,10 @@ pub fn read(urdf: &Path, scene_file: &Path, table: &ArmTable) -> Result<ArmFile,
     alone(&text, Some(&file), &packages, table)
 }
 
-/// The same of a description that a robot published, which names its meshes by their packages.
+/// Does the same for a description that a robot published, in which meshes have package paths.
 ///
 /// # Errors
-/// As [`read`].
+/// Fails for the same reasons as [`read`].
 pub fn published(text: &str, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
     let beside = scene_file.parent().unwrap_or(Path::new(""));
     let packages: Vec<PathBuf> = table.packages.iter().map(|folder| beside.join(folder)).collect();
@@ -46,7 +46,7 @@ fn alone(text: &str, file: Option<&Path>, packages: &[PathBuf], table: &ArmTable
     Ok(ArmFile { text: alone.text, notes: alone.notes })
 }
 
-/// The folders named in the scene, then those where ROS keeps its packages.
+/// The search order is: the folders listed in the scene, then the folders where ROS stores its packages.
 fn with_ros(packages: &[PathBuf]) -> Vec<PathBuf> {
     let of = |name: &str| std::env::var_os(name).unwrap_or_default();
     let prefixes = std::env::split_paths(&of("AMENT_PREFIX_PATH"))
@@ -56,11 +56,11 @@ fn with_ros(packages: &[PathBuf]) -> Vec<PathBuf> {
     packages.iter().cloned().chain(prefixes).chain(older).collect()
 }
 
-/// Where meshes are looked for.
+/// The folders in which meshes are searched.
 struct Places<'a> {
-    /// The URDF's own folder.
+    /// The folder that contains the URDF.
     beside: Option<&'a Path>,
-    /// Folders in which packages are, or which are packages themselves.
+    /// Folders that contain packages, or are packages themselves.
     packages: &'a [PathBuf],
 }
 
@@ -86,7 +86,7 @@ impl Places<'_> {
         std::fs::read(file).map_err(told)
     }
 
-    /// All places where a mesh of that name could be.
+    /// Returns all possible paths of a mesh with that name.
     fn of(&self, name: &str) -> Vec<PathBuf> {
         if let Some(path) = name.strip_prefix("file://") {
             return vec![PathBuf::from(path)];
@@ -146,11 +146,11 @@ mod tests {
         let missing = crate::arm::urdf::Missing::of(&table);
         let arm = crate::arm::urdf::parse(&found.text, &missing).unwrap();
         assert!(arm.notes.is_empty(), "{:?}", arm.notes);
-        // Once more, nothing changes.
+        // Reading the result a second time changes nothing.
         let again = published(&found.text, &scene, &table).unwrap();
         assert_eq!(again.text, found.text);
 
-        // Elsewhere only the folder that is named leads to it.
+        // From another folder, the file is found only through the listed folder.
         let bare = published(&ARM.replace("b.obj", "package://desk/urdf/b.obj"), Path::new("x.toml"), &table)
             .unwrap();
         assert!(

@@ -24,20 +24,20 @@ use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 use crate::tilt::TiltDrive;
 
-/// Replaces a port: keys control the hand.
+/// This value replaces a port: the user controls the hand with keys.
 pub const KEYBOARD: &str = "keyboard";
 
-/// Maximum speed of the base in m/s and rad/s if boards need not be bonded.
+/// Maximum speed of the base in m/s and rad/s if boards are accepted without a bond.
 const UNBONDED_MOST: f64 = 0.2;
 
 /// The source of a hand's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandInput {
-    /// Left out.
+    /// This hand is not used.
     Nobody,
     /// A board on a link.
     Board,
-    /// Keys.
+    /// The keyboard replaces the board.
     Keyboard,
 }
 
@@ -53,15 +53,15 @@ pub struct Config {
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
-    /// The conversion of a tilt to a speed within these caps: the paper's four headings, or proportional.
+    /// The conversion of a tilt to a speed within these caps: either the paper's four headings, or proportional speeds.
     pub drive: TiltDrive,
-    /// How the left hand is lent to the arm, and how fast the tool follows it then. Off by default.
+    /// How the left hand controls the arm while it is lent to it, and the tool's speed in that case. Off by default.
     pub jog: JogRules,
-    /// What the wearer of the right hand feels.
+    /// The vibration signals for the wearer of the right hand.
     pub vibration: Vibration,
-    /// The dead-man's times.
+    /// The times after which silent hands stop the robot.
     pub safety: SafetyTimes,
-    /// Duration for which a key press counts.
+    /// Duration for which a key press remains in effect.
     pub keyboard: KeyTimes,
     /// The simulated base.
     pub base: BaseConfig,
@@ -69,10 +69,10 @@ pub struct Config {
     pub arm: Arm,
     /// The robot on a ROS 2 graph, for `--ros2`.
     pub ros2: Ros2Config,
-    /// Maps labels to motions or poses. Other labels keep the paper's motion.
+    /// Maps labels to motions or poses. Labels without an entry keep the paper's motion.
     pub motions: BTreeMap<String, String>,
-    /// Maps labels to `begin`, `end`, `again`, `good` or `bad`:
-    /// these gestures mark episodes of a recorded session and move nothing.
+    /// Maps labels to `begin`, `end`, `again`, `good` or `bad`.
+    /// These gestures mark episodes of a recorded session and do not move anything.
     pub marks: BTreeMap<String, Mark>,
     /// Your own motions, which replace bundled ones with the same name.
     pub motion: Vec<MotionTable>,
@@ -84,11 +84,11 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ports {
-    /// A port, `keyboard`, or empty for none.
+    /// The value is a port, `keyboard`, or empty for no hand.
     pub left: String,
-    /// A port, `keyboard`, or empty for none.
+    /// The value is a port, `keyboard`, or empty for no hand.
     pub right: String,
-    /// Speed of the lines, in baud.
+    /// Baud rate of the serial lines.
     pub baud: u32,
     /// Nothing is sent for this long after a port was opened, unless the board sends first.
     pub settle_ms: u64,
@@ -110,7 +110,7 @@ impl Default for Ports {
     }
 }
 
-/// Signals of a motor at the right hand's board.
+/// Settings of the vibration motor at the right hand's board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vibration {
@@ -118,7 +118,7 @@ pub struct Vibration {
     pub wired: bool,
 }
 
-/// The usable fraction of the arm's own limits, 0 to 1, and whether its jerk is limited.
+/// The fraction of the arm's own limits that may be used (0 to 1), and whether its jerk is limited.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arm {
@@ -128,7 +128,7 @@ pub struct Arm {
     pub acceleration_scaling: f64,
     /// Whether jerk is limited to `jerk_rad_s3`, also while stopping.
     pub jerk_limited: bool,
-    /// The jerk limit of all joints, which is not scaled.
+    /// The jerk limit of every joint. The fractions above do not scale it.
     pub jerk_rad_s3: f64,
 }
 
@@ -175,7 +175,7 @@ impl Config {
     /// Reads a file's text.
     ///
     /// # Errors
-    /// [`ConfigError`], with the line if there is one.
+    /// Returns a [`ConfigError`], with the line if it is known.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
         let line = |at: usize| text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
         let refused = |error: toml::de::Error| ConfigError::Text {
@@ -194,11 +194,12 @@ impl Config {
 
     /// Returns all keys with their values as the text of a file.
     pub fn to_toml(&self) -> String {
-        // The data consists of strings, numbers and tables, which cannot fail.
+        // The data consists only of strings, numbers and tables, so this cannot fail.
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Returns the ports of the left and right hand, exchanged for left-handed users; empty without a port.
+    /// Returns the ports of the left and right hand, exchanged for left-handed users. An empty
+    /// text means no port.
     pub fn hand_ports(&self) -> [&str; 2] {
         let Ports { left, right, .. } = &self.ports;
         if self.left_handed { [right, left] } else { [left, right] }
@@ -232,7 +233,7 @@ impl Config {
         self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
     }
 
-    /// Returns the restriction of a session if boards need not be bonded.
+    /// Returns the restriction of a session in which boards need no bond.
     pub fn restriction(&self) -> Option<Restriction> {
         let text = format!(
             "unbonded boards are allowed: the base alone, at most {UNBONDED_MOST} m/s (allow_unbonded in [ports])"
@@ -240,7 +241,7 @@ impl Config {
         self.ports.allow_unbonded.then_some(Restriction { most: UNBONDED_MOST, text })
     }
 
-    /// A bridge as configured here.
+    /// Creates a bridge as configured here.
     pub fn bridge(&self, map: MotionMap) -> Bridge {
         let bridge =
             Bridge::with(map, self.speed, self.safety).driving(self.drive).jogging_by(self.jog.clone());
@@ -250,7 +251,7 @@ impl Config {
         }
     }
 
-    /// Limits of the arm.
+    /// Returns the limits of the arm.
     pub fn arm_limits(&self) -> JointLimits {
         let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3 } = self.arm;
         let limits = SerialArm::gen3().limits(velocity_scaling, acceleration_scaling);
@@ -260,12 +261,12 @@ impl Config {
     /// Checks that all values are valid. [`Config::parse`] calls it; call it again after a manual change.
     ///
     /// # Errors
-    /// [`ConfigError::Value`].
+    /// Returns [`ConfigError::Value`] for the first invalid value.
     pub fn check(&self) -> Result<(), ConfigError> {
         let ensure = |sound: bool, what: &str| {
             if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
         };
-        // This check is first, because the following ones compare each entry with all others.
+        // This check comes first, because the following ones compare each entry with all others.
         ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
         ensure(
             self.tilt.are_sound(),
@@ -398,7 +399,7 @@ impl Config {
     }
 }
 
-/// Checks that every key is known; keys of `motions` and `marks` are labels and therefore arbitrary.
+/// Checks that every key is known. Keys of `motions` and `marks` are labels, and therefore arbitrary.
 fn check_keys(
     table: &DeTable<'_>,
     known: &toml::Table,

@@ -26,7 +26,7 @@ use host_robot::Door;
 
 use crate::wearer::Wearer;
 
-/// Bytes wake the loop at once; without any it turns this often.
+/// Incoming bytes wake the loop at once; otherwise the loop runs at this interval.
 const TURN: Duration = Duration::from_millis(2);
 /// Maximum time for reading bytes before the engine runs.
 const RECEIVE_MAX: Duration = Duration::from_millis(5);
@@ -37,48 +37,48 @@ const REPORTS_MAX: usize = 64;
 /// Maximum number of events that wait if nobody reads reports; older ones are dropped and counted.
 const BACKLOG_MAX: usize = 1000;
 
-/// An order of the user or the program.
+/// A request from the user or the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
     /// A key that controls a hand is pressed or repeated.
     Press(HandKey),
-    /// Such a key was released.
+    /// A key that controls a hand was released.
     Up(HandKey),
-    /// The release key, pressed and confirmed.
+    /// The release key was pressed and confirmed.
     Release,
-    /// Ends only the arm's motion.
+    /// Only the arm's motion ends.
     EndArm,
-    /// The left hand is lent to the arm, or taken back.
+    /// The left hand takes control of the arm, or returns to the base.
     Clutch,
-    /// An episode is marked.
+    /// An episode begins or ends here.
     Mark(Mark),
-    /// The wearer begins to show gestures, or gives that up.
+    /// The wearer begins to show gestures, or cancels this.
     Show,
 }
 
 /// An event of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkReport {
-    /// When.
+    /// Time of the event.
     pub time_ms: u64,
-    /// Whose.
+    /// The hand to which the link belongs.
     pub hand: Hand,
-    /// The reason why the link is closed with a remedy, or `None` if it is open.
+    /// The reason why the link is closed, and a remedy. `None` means that the link is open.
     pub closed: Option<String>,
 }
 
-/// Events since the last report.
+/// The events since the last report.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
-    /// In order.
+    /// Events of the session, in order.
     pub events: Vec<SessionEvent>,
-    /// In order.
+    /// Events of the links, in order.
     pub links: Vec<LinkReport>,
     /// The state of the session, every 33 ms.
     pub snapshot: Option<Snapshot>,
 }
 
-/// Flags that any thread may set at any time without waiting.
+/// Requests that any thread may set at any time without waiting.
 #[derive(Clone, Default)]
 pub struct Flags {
     stop: Arc<AtomicBool>,
@@ -86,7 +86,7 @@ pub struct Flags {
 }
 
 impl Flags {
-    /// Sets the operator's stop. A flag suffices, because several stops have the same effect as one.
+    /// Requests the operator's stop. A flag suffices, because several stops have the same effect as one.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::SeqCst);
     }
@@ -107,25 +107,25 @@ impl Flags {
     }
 }
 
-/// The data of the control thread.
+/// The data with which the control thread starts.
 pub struct Work<D: Door> {
-    /// The engine, at its beginning.
+    /// The engine, before its first step.
     pub engine: Engine<'static, D>,
-    /// The time.
+    /// The clock.
     pub clock: Arc<dyn Clock>,
     /// The boards' links.
     pub links: PerHand<Option<Link>>,
     /// The queue for the links' events.
     pub events: EventReceiver<Hand>,
-    /// Another source of stops, which is checked at every turn and must not block.
+    /// Another source of stops, which is polled in every turn and must not block.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
-    /// Another source of marks, which is checked at every turn and must not block.
+    /// Another source of marks, which is polled in every turn and must not block.
     pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
-    /// Who wears the right hand, if it can be asked.
+    /// The wearer of the right hand, if this session supports showing gestures.
     pub wearer: Option<Wearer>,
-    /// Somebody else who may press the wearer's key; asked at every turn, and must not wait.
+    /// Another source of presses of the wearer's key, which is polled in every turn and must not block.
     pub shows: Box<dyn Fn() -> bool + Send>,
-    /// The session ends by itself then.
+    /// The time at which the session ends by itself.
     pub until_ms: u64,
     /// Time for which the robot is served after the last halt, so that the halt arrives.
     pub farewell_ms: u64,
@@ -168,12 +168,12 @@ impl<D: Door + Send + 'static> Control<D> {
         Ok(Control { flags, orders, reports, dropped, result, waiter, thread: Some(thread) })
     }
 
-    /// Sends an order. An order that does not fit in the queue is dropped, because it would be late.
+    /// Sends a request. A request that does not fit in the queue is dropped, because it would be late.
     pub fn order(&self, order: Order) {
         let _ = self.orders.try_send(order);
     }
 
-    /// Waits for at most `patience` for a report; `None` without one.
+    /// Waits for a report, for at most `patience`. Returns `None` if there was none.
     ///
     /// # Errors
     /// Fails if the thread has ended.
@@ -185,12 +185,12 @@ impl<D: Door + Send + 'static> Control<D> {
         }
     }
 
-    /// Number of events that nobody read in time.
+    /// Returns the number of events that nobody read in time.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Ends the session and returns the engine. `None` means that the thread has panicked and the robot was halted.
+    /// Ends the session and returns the engine, or `None` if the thread panicked (the robot was halted in that case).
     pub fn end(mut self) -> Option<Engine<'static, D>> {
         self.join();
         self.result.lock().unwrap_or_else(PoisonError::into_inner).take()
@@ -213,13 +213,13 @@ impl<D: Door> Drop for Control<D> {
     }
 }
 
-/// The control thread is over.
+/// The control thread has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Over;
 
 struct Running<D: Door> {
     waiter: Waiter,
-    /// Present until the thread ends.
+    /// The engine, which is present until the thread ends.
     work: Option<Work<D>>,
     flags: Flags,
     orders: Receiver<Order>,
@@ -254,7 +254,7 @@ impl<D: Door> Running<D> {
                 while let Some(event) = next {
                     let now_ms = work.clock.now_ms();
                     match event.news {
-                        // By the time of handling, so that bytes that waited are as old as they are.
+                        // Bytes are processed with their time of arrival, so bytes that waited count as old.
                         News::Bytes(bytes) => {
                             work.engine.receive(event.link, &bytes, now_ms);
                             if let (Hand::Right, Some(wearer)) = (event.link, &mut work.wearer) {
@@ -351,7 +351,7 @@ fn farewell<D: Door>(work: &mut Work<D>, waiter: &Waiter) {
 }
 
 impl<D: Door> Drop for Running<D> {
-    /// Even after a panic, the robot is halted.
+    /// The robot is halted even after a panic.
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
             farewell(work, &self.waiter);

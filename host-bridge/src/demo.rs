@@ -1,5 +1,5 @@
 //! The bundled sessions: recorded hands together with the expected result.
-//! A second session consists of parts of the first.
+//! The second session consists of parts of the first.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ const PICK_AND_PLACE: &str = include_str!("../sessions/pick-and-place/session.to
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
 const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
 
-/// Recordings and script of both hands, which are simulated wearers.
+/// Recordings of both hands, which are simulated wearers, and the script.
 pub struct Demo {
     /// The left hand's converter at 100 Hz.
     pub left: AdcRecording,
@@ -74,7 +74,7 @@ impl Demo {
     /// Returns a session of both hands with this robot, at its start.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the model needs other axes.
+    /// Returns [`ModelFileError`] if the model needs other axes.
     pub fn session<D: Door>(
         self,
         model: &ModelFile,

@@ -1,4 +1,4 @@
-//! Stops the robot at every end of the program: a signal, a lost terminal, or a panic in any thread.
+//! Stops the robot whenever the program ends: after a signal, a lost terminal, or a panic in any thread.
 //!
 //! ```text
 //! INT, TERM, HUP, QUIT ─┐
@@ -16,7 +16,7 @@ use std::time::Duration;
 use crossterm::terminal::disable_raw_mode;
 use host_links::links::{Clock as _, SystemClock};
 
-/// Time after the request to end, at which the program is terminated.
+/// Time between the request to end and the forced termination of the program.
 const PATIENCE_MS: u64 = 900;
 /// Interval of this check.
 const LOOK: Duration = Duration::from_millis(10);
@@ -33,12 +33,12 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// Makes every such end set `quit` from now on. `screen` means that the live view uses the terminal.
+    /// From now on, makes every such end set `quit`. `screen` means that the live view uses the terminal.
     ///
     /// # Errors
     /// Fails if the system does not permit signal handlers.
     pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
-        // Set only by an external end; a session that the operator ends may take its time.
+        // This flag is set only by an external end, because a session that the operator ends may take its time.
         let told = Arc::new(AtomicBool::new(false));
         for signal in system::signals() {
             signal_hook::flag::register(signal, Arc::clone(quit))?;
@@ -84,7 +84,7 @@ fn watch_panics(
     let (quit, told, panicked) = (Arc::clone(quit), Arc::clone(told), Arc::clone(panicked));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        // The halt comes first, and the message later.
+        // The robot is halted before the message is printed.
         quit.store(true, Ordering::SeqCst);
         told.store(true, Ordering::SeqCst);
         let thread = std::thread::current().name().unwrap_or("a thread").to_owned();
@@ -153,7 +153,7 @@ mod system {
         [SIGINT, SIGTERM].into_iter()
     }
 
-    /// A closed console ends its programs itself.
+    /// Windows ends the programs of a closed console itself.
     pub fn terminal_is_gone() -> bool {
         false
     }
@@ -174,7 +174,7 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// The test below runs this function in a separate process, because it affects the whole process.
+    /// The test below runs this function in a separate process, because the function affects the whole process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

@@ -1,4 +1,5 @@
-//! The laptop side of the two-hand interface: configuration, the demo, recorded sessions, and all crates combined.
+//! The laptop's part of the two-hand interface: configuration, the demo, recorded sessions, and the code that connects
+//! all crates.
 //!
 //! ```text
 //! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → director → robot

@@ -41,7 +41,7 @@ enum Verb {
     /// Fetches the description of a robot's arm from its ROS 2 graph, into a scene for `teach` and `run`
     #[cfg(all(feature = "ros2", feature = "urdf"))]
     Arm(cmd::arm::Args),
-    /// Makes a pose of where the robot's arm is now, or goes to one
+    /// Saves the arm's current position as a pose, or moves to a pose
     Teach(cmd::teach::Args),
     /// Sends your own model to the right hand's board
     SendModel(cmd::send_model::Args),

@@ -28,7 +28,7 @@ use crate::cmd::web::WebArgs;
 
 /// Interval at which the terminal is drawn.
 const DRAW_INTERVAL: Duration = Duration::from_millis(33);
-/// Interval at which the session advances.
+/// Interval at which the session's time advances.
 const TURN: Duration = Duration::from_millis(4);
 
 /// Options of all commands that play a session.
@@ -100,7 +100,7 @@ pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     stage_of(config, &text, file)
 }
 
-/// Like [`stage`], with this text instead of the file's content.
+/// Like [`stage`], but with this text instead of the file's content.
 pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     let about = || format!("{}", file.display());
     let scene = Scene::parse(text).with_context(about)?;
@@ -123,7 +123,7 @@ pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) ->
     Ok(())
 }
 
-/// Returns the scene's arm: the Gen3, or one from a file relative to the scene's.
+/// Returns the scene's arm: the Gen3, or an arm from a file whose path is relative to the scene.
 fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     let Some(urdf) = &scene.arm.urdf else { return Ok(SerialArm::gen3()) };
     let file = scene_file.parent().unwrap_or(Path::new("")).join(urdf);
@@ -143,12 +143,12 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     anyhow::bail!("{}: this program reads no URDF; build it with `--features urdf`", file.display())
 }
 
-/// Somebody pressed q or Ctrl-C.
+/// The user pressed q or Ctrl-C.
 #[derive(Debug, thiserror::Error)]
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Plays to the end. With `page_unasked`, there is a page in addition to the live view if a port is free.
+/// Plays to the end. With `page_unasked`, a page is served in addition to the live view if a port is free.
 pub fn play<D: Door>(
     session: &mut Session<'_, D>,
     options: &PlayOptions,
@@ -171,7 +171,7 @@ pub fn play<D: Door>(
         headline += &format!("\npage: {}", web.url());
     }
     let ended = Arc::new(AtomicBool::new(false));
-    // Before the view uses the terminal, because an end in between would leave it in raw mode.
+    // This must happen before the view uses the terminal, because an end in between would leave it in raw mode.
     let _ending = Ending::watch(&ended, wants_view)?;
     let mut view = if wants_view { Some(View::open(&headline)?) } else { None };
     if view.is_none() {
@@ -260,7 +260,7 @@ fn note(event: &SessionEvent, view: Option<&mut View>, options: &PlayOptions) {
     }
 }
 
-/// Prints a line in a place that does not disturb the JSON object.
+/// Prints a line on a stream where it does not disturb the JSON object.
 pub fn say(options: &PlayOptions, line: &str) {
     use std::io::Write as _;
     // A closed pipe (`| head`) must not interrupt the session with a panic.

@@ -1,5 +1,5 @@
-//! What a scene says about the robot on its graph: the section `[ros2]` of a scene is a profile of that robot. And what the graph
-//! says, as a scene.
+//! Reads the section `[ros2]` of a scene, which is a profile of the robot on its graph, and writes a scene from the
+//! information on a graph.
 
 use std::path::Path;
 
@@ -8,10 +8,10 @@ use crate::config::Config;
 use crate::ros2::Ros2Config;
 use crate::scene::Scene;
 
-/// Takes the profile of a scene's file into the configuration. What the configuration itself sets stays.
+/// Copies the profile from a scene's file to the configuration. Values that the configuration sets have priority.
 ///
 /// # Errors
-/// The file cannot be read, or a key or value of its `[ros2]` makes no sense.
+/// Fails if the file cannot be read, or if a key or value of its `[ros2]` is invalid.
 pub fn take(config: &mut Config, scene: &Path) -> Result<(), String> {
     let about = |why: &dyn std::fmt::Display| format!("{}: {why}", scene.display());
     let text = std::fs::read_to_string(scene).map_err(|error| about(&error))?;
@@ -20,7 +20,7 @@ pub fn take(config: &mut Config, scene: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// A profile below what somebody has set.
+/// Applies a profile, except for values that the user has set.
 fn merged(own: &Ros2Config, profile: &toml::Table) -> Result<Ros2Config, String> {
     let table = |config: &Ros2Config| toml::Table::try_from(config).map_err(|error| error.to_string());
     let (usual, mut all) = (table(&Ros2Config::default())?, table(own)?);
@@ -40,10 +40,10 @@ fn merged(own: &Ros2Config, profile: &toml::Table) -> Result<Ros2Config, String>
     Ok(merged)
 }
 
-/// The only controller there is, or the one that was asked for.
+/// Returns the only controller, or the one that was requested.
 ///
 /// # Errors
-/// Which there are, and what to do.
+/// Fails if this is not unique. The error lists the controllers and a remedy.
 pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, String> {
     match (controllers, asked) {
         (_, Some(asked)) => {
@@ -66,7 +66,7 @@ pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, Strin
     }
 }
 
-/// A scene of what was found on a graph: whole, and within a page.
+/// Returns a complete scene for a robot on a graph, shorter than a page.
 pub fn written(file: &Path, urdf: &Path, arm: &SerialArm, controller: &str) -> String {
     let names: Vec<String> = arm.joints.iter().map(|joint| format!("{:?}", joint.name)).collect();
     format!(
@@ -120,7 +120,7 @@ mod tests {
             let text = std::fs::read_to_string(&file).unwrap();
             assert!(text.lines().count() <= 40, "{}", file.display());
             let scene = Scene::parse(&text).unwrap();
-            // The arm brakes quickly enough to be streamed.
+            // Checks that the arm brakes quickly enough for streaming.
             assert!(scene.arm.urdf.is_some() != file.ends_with("gen3.toml"), "{}", file.display());
             assert!((1..=7).contains(&config.ros2.joint_names.len()));
             seen += 1;

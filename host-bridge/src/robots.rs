@@ -1,4 +1,4 @@
-//! The robots that the bridge can command through a common door.
+//! The robots that the bridge can command through a common interface (door).
 
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ impl Stage {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
 
-    /// Name of the arm, and how many joints it has.
+    /// Returns the name of the arm and its number of joints.
     pub fn arm(&self) -> (&str, usize) {
         match &self.planner {
             None => ("the Gen3", host_arm::gen3::COUNT),
@@ -56,7 +56,7 @@ impl Stage {
         }
     }
 
-    /// The simulator as configured here, its arm at the pose `ready` (or at home).
+    /// Creates the simulator as configured here, with the arm at the pose `ready` (or at home).
     pub fn simulator(&self, config: &Config) -> Simulator {
         let base = self.planner.as_ref().map_or(config.base, |planner| planner.world().scene().base.config());
         let home = || self.motions.pose("home").unwrap_or_default();
@@ -69,7 +69,7 @@ impl Stage {
         }
     }
 
-    /// Returns a robot with the arm director that commands it.
+    /// Combines a robot with the arm director that commands it.
     pub fn before<R: Robot>(&self, robot: R) -> Director<R> {
         match &self.planner {
             None => Director::new(robot, self.motions.clone()),
@@ -83,7 +83,7 @@ impl Stage {
     }
 }
 
-/// The simulator as the robot, whose speed commands are also published on a graph.
+/// The simulator as a robot whose speed commands are also published on a graph.
 pub struct Echoed<R> {
     /// The robot.
     pub simulator: Simulator,

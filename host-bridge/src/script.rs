@@ -9,24 +9,24 @@ use host_core::session::Summary;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Script {
-    /// One line for people.
+    /// A one-line title for the user.
     pub title: String,
-    /// The contents of the left hand's EEPROM.
+    /// The calibration in the left hand's EEPROM.
     pub calibration: CalibrationTable,
-    /// The parts of the bundled recordings that it consists of; `None` means the complete recordings.
+    /// The parts of the bundled recordings that form this session; `None` means the complete recordings.
     #[serde(default)]
     pub cuts: Option<Cuts>,
     /// The expected result.
     pub expect: Expect,
 }
 
-/// Parts of the bundled recordings in sequence, with start and end in s.
+/// Parts of the bundled recordings in sequence, each with its start and end in s.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cuts {
-    /// Of the left hand.
+    /// Parts of the left hand's recording.
     pub left: Vec<[f64; 2]>,
-    /// Of the right hand.
+    /// Parts of the right hand's recording.
     pub right: Vec<[f64; 2]>,
 }
 
@@ -34,11 +34,11 @@ pub struct Cuts {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationTable {
-    /// x, y and z at 0 g.
+    /// Sums for x, y and z at 0 g.
     pub zero: [i16; 3],
-    /// Index and middle finger straight.
+    /// Sums for straight index and middle fingers.
     pub rest: [u16; 2],
-    /// Whether index and middle finger are bent.
+    /// Sums for bent index and middle fingers.
     pub bend: [u16; 2],
 }
 
@@ -54,9 +54,9 @@ impl From<CalibrationTable> for Calibration {
 pub struct Expect {
     /// Labels of all gesture events in order, including the one that releases the stop.
     pub gestures: Vec<String>,
-    /// Arm motions that reach their pose, in order.
+    /// Names of the arm motions that reach their pose, in order.
     pub poses: Vec<String>,
-    /// Operator's stops, each released.
+    /// Number of the operator's stops, each of which is released.
     pub stops: u32,
     /// Final value of both caps in m/s and rad/s, within 0.001.
     pub cap: f64,
@@ -67,11 +67,11 @@ pub struct Expect {
     pub objects: Vec<ObjectPlace>,
 }
 
-/// A place of an object with its tolerance.
+/// The expected place of an object, with a tolerance.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectPlace {
-    /// As in the scene.
+    /// Name of the object in the scene.
     pub name: String,
     /// Centre of the object's bottom face.
     pub at_m: [f64; 3],
@@ -83,9 +83,9 @@ pub struct ObjectPlace {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaseGoal {
-    /// Forward of the start.
+    /// Distance in front of the start.
     pub x_m: f64,
-    /// Left of the start.
+    /// Distance to the left of the start.
     pub y_m: f64,
     /// Rotation to the left in rad, not wrapped.
     pub heading_rad: f64,
@@ -98,7 +98,7 @@ pub struct BaseGoal {
 /// One difference from an expected value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
-    /// What.
+    /// Name of the value.
     pub what: &'static str,
     /// The value that the script expects.
     pub expected: String,
@@ -108,7 +108,7 @@ pub struct Check {
     pub ok: bool,
 }
 
-/// The text is not a valid session; the message contains the place and the reason.
+/// The text does not describe a valid session; the message contains the place and the reason.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct ScriptError(#[from] toml::de::Error);
@@ -117,7 +117,7 @@ impl Script {
     /// Reads the text of a `session.toml`.
     ///
     /// # Errors
-    /// [`ScriptError`] with line and column.
+    /// Returns [`ScriptError`] with line and column.
     pub fn parse(text: &str) -> Result<Self, ScriptError> {
         Ok(toml::from_str(text)?)
     }
@@ -127,14 +127,14 @@ impl CalibrationTable {
     /// Reads a file with `zero`, `rest` and `bend`, as in a session's `[calibration]`.
     ///
     /// # Errors
-    /// [`ScriptError`] with line and column.
+    /// Returns [`ScriptError`] with line and column.
     pub fn parse(text: &str) -> Result<Self, ScriptError> {
         Ok(toml::from_str(text)?)
     }
 }
 
 impl Expect {
-    /// Compares with what happened.
+    /// Compares the expected result with the actual one.
     pub fn check(&self, summary: &Summary) -> Vec<Check> {
         let list = |names: &[String]| names.join(", ");
         let check = |what, expected: String, got: String| {

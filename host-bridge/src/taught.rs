@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Number of decimals, which corresponds to a micrometre at the end of an arm.
+/// Number of decimals, which corresponds to about a micrometre at the tip of an arm.
 const DIGITS: usize = 6;
 
 /// The pose cannot be written.
@@ -27,7 +27,7 @@ pub enum TaughtError {
 /// Returns the text with this pose: an existing one gets new angles, and a new one is appended.
 ///
 /// # Errors
-/// [`TaughtError`]. Nothing is lost in this case.
+/// Returns [`TaughtError`]. The file's text is unchanged in this case.
 pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, TaughtError> {
     let mut angles = String::from("[");
     for (i, angle) in joints_rad.iter().enumerate() {
@@ -48,7 +48,7 @@ pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, T
     Ok(new)
 }
 
-/// As a TOML string.
+/// Returns the name as a TOML string.
 fn quoted(name: &str) -> String {
     toml::Value::String(name.to_owned()).to_string()
 }

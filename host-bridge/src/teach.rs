@@ -1,4 +1,4 @@
-//! Teaching, sans-IO: decides when an arm's angles can become a pose, and plays a single motion.
+//! Teaching, sans-IO: decides when an arm's angles may be saved as a pose, and plays a single motion.
 
 use host_arm::Director;
 use host_robot::{Door as _, Joints, Motion, MotionName, Report, Robot, Twist};
@@ -18,7 +18,7 @@ pub struct Rest {
 }
 
 impl Rest {
-    /// Adds the arm's motion. Returns its angles once it has rested.
+    /// Adds a report about the arm's motion. Returns the arm's angles once it has been at rest long enough.
     pub fn see(&mut self, arm: &Motion, now_ms: u64) -> Option<Joints> {
         let here = arm.joints_rad;
         let moves = arm.velocity_rad_s.iter().any(|v| v.abs() > REST_RAD_S);
@@ -46,7 +46,7 @@ fn is_near(one: &Joints, two: &Joints) -> bool {
 /// The result of playing a pose.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Played {
-    /// The arm is there.
+    /// The arm has reached the pose.
     Reached,
     /// The motion was not performed, for the reason in the text.
     Not(String),
@@ -54,7 +54,7 @@ pub enum Played {
     Interrupted,
 }
 
-/// A single motion: waits for the robot, requests the motion once, and halts the robot on any problem.
+/// A single motion: waits for the robot, requests the motion once, and halts the robot if there is any problem.
 #[derive(Clone, Debug)]
 pub struct Play {
     motion: MotionName,
@@ -80,7 +80,7 @@ impl Play {
         mut note: impl FnMut(&str),
     ) -> Option<Played> {
         door.step(now_ms);
-        // This shows that there is a commander; the base does not move.
+        // This message announces a commander; the base does not move.
         door.drive(Twist::ZERO);
         let mut reached = None;
         for report in door.take_reports() {

@@ -62,7 +62,7 @@ fn replay_plays_files_of_both_hands() {
     assert_eq!(report["gestures"].as_array().unwrap().len(), 7);
     assert!(report["odometry"]["path_m"].as_f64().unwrap() > 8.0, "{}", report["odometry"]);
 
-    // With the default calibration this wearer's sensor is never neutral, and the program prints a suggestion.
+    // With the default calibration, this wearer's sensor never reads neutral, so the program prints a suggestion.
     let output = replay(&[]);
     assert!(output.status.success());
     assert!(stderr(&output).contains("--calibration start"), "{}", stderr(&output));

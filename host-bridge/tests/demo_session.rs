@@ -37,7 +37,7 @@ fn script() -> Script {
     Demo::bundled().script
 }
 
-/// Plays to the end.
+/// Plays the session to its end.
 fn run(left: Option<AdcRecording>, right: Option<Recording>, map: MotionMap) -> Summary {
     let model = ModelFile::bundled().unwrap();
     let left = left.map_or(Source::Nobody, |left| {
@@ -236,7 +236,7 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     println!("{frames:?}");
     let (left, right) = (frames.left.unwrap(), frames.right.unwrap());
     assert!(left.damaged > 50 && right.damaged > 20);
-    // Two frames joined by a damaged delimiter count as one damaged frame.
+    // Two frames that a damaged delimiter has joined count as one damaged frame.
     // The damaged frames that do not count as lost are ping replies and status frames, which have no sequence number.
     let unnumbered = summary.seconds as u32 * 11;
     assert!(left.lost > 20 && left.lost + unnumbered / 20 >= left.damaged, "{left:?}");

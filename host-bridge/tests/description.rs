@@ -41,7 +41,7 @@ fn the_description_read_back_is_the_arm_on_its_base_and_moves_as_it_does() {
     }
     for (one, two) in read.joints.iter().zip(&arm.joints) {
         assert_eq!((&one.name, one.limit_rad), (&two.name, two.limit_rad));
-        // A cylinder and two spheres, which together reach from one end to the other.
+        // The shape consists of a cylinder and two spheres, which together reach from one end to the other.
         let ends = one.shapes.iter().map(|shape| (shape.a_m - two.shapes[0].b_m).length());
         assert!(ends.fold(f64::INFINITY, f64::min) < 1e-9, "{}", one.name);
     }
@@ -63,7 +63,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
         .transforms;
     let children: BTreeSet<&str> = told.iter().map(|t| t.child_frame_id.as_str()).collect();
     assert_eq!(links, children);
-    // These are the names in ros2_kortex, with its prefix.
+    // These are link names as in ros2_kortex, including its prefix.
     for name in ["base_footprint", "left_base_link", "left_shoulder_link", "left_bracelet_link"] {
         assert!(links.contains(name), "{name} in {links:?}");
     }

@@ -105,7 +105,7 @@ fn q_and_z_change_the_cap_and_numbers_start_motions() {
     rig.run(300);
     assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
     rig.press(HandKey::Slower);
-    // A held bend counts after 130 ms, according to the board's rules.
+    // A bend that is held counts after 130 ms, according to the board's rules.
     rig.run(200);
     assert!((rig.live.bridge().caps().linear_m_s - 0.495).abs() < 1e-9);
     rig.press(HandKey::Gesture(6));
@@ -205,7 +205,7 @@ fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
     let frame = shared_proto::frame::encode_board(&message, &mut buffer).unwrap();
     live.receive(Hand::Left, frame, 1005);
     assert!(told(&mut live, 5000, true).is_empty());
-    // The board does not remain in record mode either.
+    // The board must not remain in record mode either.
     live.advance(7000, [true; 2]);
     let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
     let frames = live.take_outgoing(Hand::Left).concat();

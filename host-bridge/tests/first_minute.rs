@@ -1,5 +1,5 @@
-//! The first minute: a wearer whom nobody knows shows three of each gesture, and the board learns their hand. In virtual
-//! time, with the boards' own code and simulated wearers.
+//! Tests the first minute: an unknown wearer shows each gesture three times, and the board gets a model of their hand.
+//! The tests run in virtual time, with the boards' own code and simulated wearers.
 
 use std::path::Path;
 
@@ -31,7 +31,7 @@ mod renamed;
 
 use moving::{Robot, live};
 
-/// Scale of the LSM9DS1 as the right board uses it.
+/// Scale of the LSM9DS1 in the right board's settings.
 const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 const RUNS: Runs = Runs { axes: 9, sample_hz: 100 };
 
@@ -39,7 +39,7 @@ const RUNS: Runs = Runs { axes: 9, sample_hz: 100 };
 struct Board {
     board: VirtualRight<CountHand<'static, 9>>,
     store: ModelStore<RamFlash>,
-    /// The model that it comes with.
+    /// The model that the board is delivered with.
     built_in: Vec<u8>,
     boot_id: u32,
     started_ms: u64,
@@ -74,15 +74,15 @@ impl Board {
     }
 }
 
-/// Somebody at the desk: board, wearer, laptop, all in one time.
+/// The test desk: board, wearer and laptop with a common time.
 struct Desk {
     board: Board,
     engine: Engine<'static, Robot>,
     wearer: Wearer,
     hand: Simulated,
-    /// Samples that the hand makes next; at rest without any.
+    /// The next samples of the hand, which is at rest if there are none.
     next: std::collections::VecDeque<[f32; 9]>,
-    /// Draws what it is asked to draw.
+    /// Performs the gesture that the program asks for.
     obeys: bool,
     drawn: String,
     takes: u64,
@@ -118,7 +118,7 @@ impl Desk {
         self.engine.bridge().prompt().cloned().unwrap_or(empty)
     }
 
-    /// A millisecond.
+    /// Advances by one millisecond.
     fn step(&mut self) {
         self.now_ms += 1;
         let mut wire = Vec::new();
@@ -162,7 +162,7 @@ impl Desk {
         (0..ms).for_each(|_| self.step());
     }
 
-    /// Until the wearer is told this.
+    /// Runs until the wearer sees this text.
     fn until(&mut self, words: &str) -> Prompt {
         for _ in 0..240_000 {
             self.step();
@@ -183,7 +183,7 @@ impl Desk {
             .collect()
     }
 
-    /// What came of the gestures since this event.
+    /// Returns the effects of the gestures since this event.
     fn gestures(&self, since: usize) -> Vec<(&str, &GestureOutcome)> {
         self.events[since..]
             .iter()
@@ -225,7 +225,7 @@ fn who_shows_three_of_each_gets_a_model_that_is_kept_and_moves_nothing_meanwhile
     assert_eq!(desk.engine.door().picture().arm.joints_rad, arm);
     assert!(!desk.events[since..].iter().any(|event| matches!(event, SessionEvent::Marked { .. })));
 
-    // Six gestures, three times each, and a model of her name.
+    // The wearer shows six gestures, three times each, and gets a model under her name.
     let home = folder.path().join("wearers/ada");
     let recordings = Dataset::read(&home.join("recordings"), None).unwrap();
     assert_eq!((recordings.items.len(), recordings.labels.len()), (18, 6));
@@ -248,7 +248,7 @@ fn who_shows_three_of_each_gets_a_model_that_is_kept_and_moves_nothing_meanwhile
     }
     assert!(right >= 5, "{right} of 6 gestures of hers make exactly one right event");
 
-    // Another day, another board: the model that was kept is offered, and nothing needs to be shown.
+    // On another day with another board, the stored model is offered, and nothing needs to be shown.
     let mut desk = Desk::new(bundled(), settings(folder.path(), Some("ada")));
     let offer = desk.until("not that of ada");
     assert_eq!(offer.button, Some("send the kept model"));
@@ -269,7 +269,7 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
     desk.pass(500);
     desk.wearer.press();
     desk.until("given up: as you wished. who wears");
-    // The board names gestures again, and they have an effect.
+    // The board recognises gestures again, and they have an effect.
     desk.pass(6000);
     let since = desk.events.len();
     desk.draws(Motion::UpDown, 4.0);
@@ -280,7 +280,7 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
         desk.gestures(since)
     );
 
-    // Another minute of rest begins: between two of them the hand jumps.
+    // The recording of a resting hand repeats every minute, and the hand jumps at that moment.
     desk.obeys = false;
     desk.next.clear();
     desk.wearer.press();
@@ -288,7 +288,7 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
     desk.until("given up: the hand hardly moved, 3 times. who wears");
     assert!(!folder.path().join("wearers").exists());
 
-    // A board that restarts under way is no longer in record mode.
+    // A board that restarts during a recording is no longer in record mode.
     desk.obeys = true;
     desk.wearer.press();
     desk.until("NOW draw");
@@ -300,7 +300,7 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
 #[test]
 fn where_board_or_model_cannot_the_wearer_is_told_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
-    // The board runs a model that names other gestures.
+    // The model on the board knows other gestures.
     let (file, id) = renamed::renamed_model(folder.path());
     let other = ModelFile::read(&file).unwrap().blob().to_vec();
     let mut desk = Desk::new(other, settings(folder.path(), Some("ada")));
@@ -312,13 +312,13 @@ fn where_board_or_model_cannot_the_wearer_is_told_what_to_do() {
     desk.pass(3000);
     assert_eq!(desk.told().len(), said, "nothing begins");
 
-    // The model to start from is there, but not what it remembers.
+    // The base model is there, but the file with its training data is missing.
     let settings = Settings { model: Some(file), ..settings(folder.path(), Some("ada")) };
     let mut desk = Desk::new(bundled(), settings);
     let told = desk.until("no gestures can be shown");
     assert!(told.text.contains("needed beside the model"), "{told:?}");
 
-    // Nothing can be kept: a file is where the folder should be.
+    // Nothing can be stored, because a file is in the place of the folder.
     let blocked =
         Settings { name: Some("ada".to_owned()), folder: folder.path().join("a-file"), model: None };
     std::fs::write(&blocked.folder, "").unwrap();
@@ -330,7 +330,7 @@ fn where_board_or_model_cannot_the_wearer_is_told_what_to_do() {
     assert_eq!(at_boot(&desk), format!("{:08x}", Model::parse(&bundled()).unwrap().info().model_id));
 }
 
-/// The model that the board runs.
+/// Returns the model that the board runs.
 fn at_boot(desk: &Desk) -> String {
     let model = desk.engine.bridge().link(Hand::Right).model().unwrap();
     format!("{:08x}", model.model_id)

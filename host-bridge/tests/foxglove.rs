@@ -26,7 +26,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// Limit in wall-clock time, so that a hang cannot block the tests.
+/// Limit in wall-clock time, so that a test cannot hang forever.
 const PATIENCE: Duration = Duration::from_secs(120);
 const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
 
@@ -227,8 +227,8 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
         assert!(began.elapsed() < PATIENCE, "the subscription takes effect");
         pass(100);
     }
-    // If the session waited for a client, this loop would never end,
-    // because its data far exceed the sockets and the queue.
+    // If the session waited for a client, this loop would never end, because its data
+    // far exceeds the capacity of the sockets and the queue.
     pass(100_000);
     let lost = (0..1_000_000).find_map(|_| match socket.read().unwrap() {
         Message::Text(text) if text.as_str().contains("too slow for") => Some(text.to_string()),

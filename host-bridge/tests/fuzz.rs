@@ -1,5 +1,5 @@
 //! Feeds damaged files to the readers of recordings and sessions.
-//! They must not panic, hang for more than 2 s, or use more than 500 MB.
+//! The readers must not panic, hang for more than 2 s, or use more than 500 MB.
 //!
 //! `cargo test -p host-bridge --test fuzz` gives each reader a few hundred inputs.
 //! The following command gives each reader a million inputs and prints statistics:

@@ -1,6 +1,5 @@
-//! Tests a gripper on the ROS 2 graph that does not carry out its commands,
-//! and halts in the middle of a motion with several steps.
-//! In both cases the remaining steps must be cancelled and reported.
+//! Tests a gripper on the ROS 2 graph that does not carry out its commands, and halts during a motion of several steps.
+//! In both cases, the remaining steps must be cancelled and reported.
 //! The tests run in virtual time, with a robot whose replies the test provides.
 
 use host_bridge::arm::Director;
@@ -28,7 +27,7 @@ struct Site {
     door: Director<RosRobot>,
     now_ms: u64,
     joints_rad: Joints,
-    /// `None`: nobody tells.
+    /// The position of the gripper; `None` if no message contains it.
     knuckle: Option<f64>,
     tells_base: bool,
     commands: bool,

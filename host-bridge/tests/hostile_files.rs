@@ -35,7 +35,7 @@ fn peak_mb() -> u64 {
     line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// Feeds mutated files to a parser, which returns whether it accepted the file.
+/// Gives mutated files to a parser that returns whether it accepted the file.
 fn torment(name: &str, seeds: &[&[u8]], parse: impl Fn(&[u8]) -> bool) {
     let count = if std::env::var_os("BIMANUAL_FULL").is_some() { 100_000 } else { 200 };
     let mut rng = Rng(name.len() as u64);

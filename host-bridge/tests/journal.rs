@@ -34,7 +34,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// A disk in memory with a capacity in bytes. Writes block while the other end of `gate` exists.
+/// A disk in memory with a capacity in bytes. Writes block while the sender of `gate` exists.
 #[derive(Clone)]
 struct Memory {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -55,7 +55,7 @@ impl Memory {
 impl Storage for Memory {
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         if let Some(gate) = self.gate.lock().unwrap().as_ref() {
-            // Blocks until the other end is dropped.
+            // Blocks until the sender is dropped.
             while gate.recv().is_ok() {}
         }
         let mut disk = self.bytes.lock().unwrap();
@@ -134,7 +134,8 @@ fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(summary.events.len() > 10);
         assert_eq!(summary.stops, 1);
     });
-    // The rates are 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s, plus the samples of both hands.
+    // The counts follow from rates of 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s, and from the samples of both
+    // hands.
     let counted = |topic: &str| again.messages.get(topic).copied().unwrap_or_default();
     let topics = ["/joint_states", "/odom", "/tf", "/cmd_vel", "/hands/state"].map(counted);
     assert_eq!(topics, [3000, 1500, 1500, 1500, 600]);
@@ -157,7 +158,7 @@ fn motions_with_limited_jerk_are_the_same_too_and_take_longer() {
         reached.expect("the arm was home by then").time_ms
     };
     let (even_ms, smooth_ms) = (first_pose_ms(&setup()), first_pose_ms(&smooth));
-    // With a jerk of 4.3 rad/s³, an acceleration of 0.43 rad/s² takes 100 ms to build up.
+    // If the jerk is limited to 4.3 rad/s³, an acceleration of 0.43 rad/s² takes 100 ms to build up.
     assert_eq!(smooth_ms - even_ms, 100);
 }
 
@@ -244,16 +245,15 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
     live.tap_mut().add(Box::new(recorder));
     let mut planned_ms = None;
     for now_ms in (80..9_000).step_by(2) {
-        if now_ms == 2_000 {
-            live.press(HandKey::Gesture(2), now_ms);
-        }
-        if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
             // The thread gets its time; here the session stands still for it.
-            let since_ms = *planned_ms.get_or_insert(now_ms);
-            let began = Instant::now();
-            while now_ms == since_ms + 500 && !live.door().plan_is_ready() {
-                assert!(began.elapsed() < Duration::from_secs(240));
-                std::thread::sleep(Duration::from_millis(1));
+        match now_ms {
+            2_000 => live.press(HandKey::Gesture(2), now_ms),
+            5_000 => {
+                let began = Instant::now();
+                while !live.door().plan_is_ready() && live.door().arm().at_rest() {
+                    assert!(began.elapsed() < Duration::from_secs(240));
+                    std::thread::sleep(Duration::from_millis(1));
+                }
             }
         }
         live.advance(now_ms, [true; 2]);
@@ -278,7 +278,7 @@ fn a_session_in_which_a_hand_moved_the_tool_is_the_same_from_its_file() {
     let mut lent_ms = 0;
     for now_ms in (80..15_000).step_by(2) {
         match now_ms {
-            // By gesture, and back by key.
+            // The left hand is lent to the arm by a gesture, and returned to the base by a key.
             2_000 => live.press(HandKey::Gesture(6), now_ms),
             6_000 | 6_500 | 6_700 | 12_500 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
             8_000 => live.press(HandKey::Faster, now_ms),
@@ -379,11 +379,11 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
     assert!(joints.len() > 900);
     let mut changed = file;
-    // The number follows both names and the count in the record.
+    // In the record, the number follows both names and the count.
     let at = joints[800];
     let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
     let count = (after..).find(|&i| changed[i] == 9).unwrap();
-    // Nine doubles follow.
+    // Nine floating-point values follow.
     changed[count + 20] ^= 1;
     let again = replay(&changed).unwrap();
     assert_eq!(again.different, 1);
@@ -489,7 +489,7 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     program.args(["demo", "--headless", "--speed", "1", "--record"]).arg(&file);
     let mut child = program.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // Events are printed immediately, so the first event after 3 s triggers the kill.
+    // Events are printed immediately, so the first event after 3 s shows when to kill the program.
     let mut seen_s = 0.0;
     for line in lines {
         let line = line.unwrap();
@@ -502,7 +502,7 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
             break;
         }
     }
-    // SIGKILL.
+    // The program is killed with SIGKILL.
     child.kill().unwrap();
     child.wait().unwrap();
     assert!(seen_s > 3.0);

@@ -1,5 +1,5 @@
-//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that the
-//! limits allow.
+//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that
+//! follows from their limits.
 
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::Twist;
@@ -21,13 +21,13 @@ fn in_scene(text: &str, arm_start_rad: Joints) -> (Robot, Planner) {
     (moving::in_scene(planner.clone()), planner)
 }
 
-/// Distance to everything, in m.
+/// Minimum distance from every obstacle, in m.
 fn clearance_m(robot: &Robot, planner: &Planner) -> f64 {
     let around = planner.world().around(Placement::from(robot.odometry()));
     around.arm_clearance(&robot.arm().joints_rad).distance_m.min(around.base_clearance().distance_m)
 }
 
-/// Computes the change of the joints' accelerations from their speeds at each millisecond.
+/// Computes the change of acceleration of the joints from their speeds in each millisecond.
 struct Jerks([[f64; JOINTS]; 2]);
 
 impl Jerks {
@@ -75,7 +75,7 @@ fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
 
 #[test]
 fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_touch() {
-    // A shelf board at the height of the arm, above the base.
+    // A shelf board is at the height of the arm, above the base.
     let board = WALL.replace("center_m = [2.0, 0.0, 0.25]", "center_m = [2.0, 0.0, 0.9]");
     let mut reaching = [0.0; JOINTS];
     reaching[1] = 1.5;
@@ -85,7 +85,7 @@ fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_to
         robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
-    // The arm extends 0.9 m from its mount at 0.1 m, towards a board at 1.9 m.
+    // The arm extends 0.9 m from its mount at 0.1 m, towards a shelf board at 1.9 m.
     assert!((0.75..0.95).contains(&robot.odometry().x_m), "{}", robot.odometry().x_m);
 }
 
@@ -132,7 +132,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
     let (mut nearest_m, mut stops, mut motions, mut refused) = (f64::INFINITY, 0, 0, 0);
     let (mut slowest_ms, mut way_m) = (0, 0.0);
     for seed in 0..runs {
-        // Every third run limits the jerk.
+        // Every third run uses a limit for jerk.
         let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, pose("ready"));
         let limits = *planner.limits();
         let mut jerks = Jerks::new(&robot);

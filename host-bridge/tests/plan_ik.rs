@@ -14,7 +14,7 @@ use host_bridge::robot::Random;
 use host_bridge::robot::{DVec3, Joints, Pose};
 use host_bridge::scene::Scene;
 
-/// The step budget before it was replaced by a time budget of 0.2 s.
+/// The former budget in steps, which was replaced with a time budget of 0.2 s.
 const FORMER: Budget = Budget { steps: 10_000, looks: usize::MAX };
 
 fn anywhere(arm: &SerialArm, random: &mut Random) -> Pose {
@@ -95,7 +95,7 @@ fn a_place_that_no_angles_reach_or_that_is_blocked_ends_with_the_budget_and_alwa
     let arm = SerialArm::gen3();
     // The position is within reach, but the tool's orientation would require the elbow to pass through the arm.
     let folded = Pose { position_m: DVec3::new(0.05, 0.0, 0.42), rotation: arm.flange_pose(&HOME).rotation };
-    // A reachable position inside a box, where every solution touches the box.
+    // This position is reachable, but it is inside a box that every solution touches.
     let scene = "[[box]]\nname = \"crate\"\ncenter_m = [0.65, 0.0, 0.75]\nsize_m = [0.5, 0.5, 0.5]";
     let world = World::new(arm.clone(), Scene::parse(scene).unwrap());
     let around = world.around(Placement::default());

@@ -173,7 +173,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
         beyond[3] = f64::NAN;
         assert!(matches!(refused(&beyond), Refusal::GoalBeyondLimit(_)));
 
-        // Poses with the flange in the middle of each box that the arm can reach.
+        // Returns poses with the flange in the middle of each box that the arm can reach.
         let scene = planner.world().scene();
         let mut inside = 0;
         for shape in &scene.boxes {
@@ -194,7 +194,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
     }
 }
 
-/// A wall through the arm's mount, with an opening only around the shoulder.
+/// Returns a wall through the arm's mount, with an opening only around the shoulder.
 const WALLS: &str = r#"
 [[box]]
 name = "right wall"
@@ -257,7 +257,7 @@ fn a_motion_is_planned_or_refused_within_its_checks_and_what_is_planned_with_few
     println!("{planned} planned, {refused} refused, at most {over} checks more than there were");
     assert!(planned > 20 && refused > 20 && over <= 8);
 
-    // The longest possible delay of a stop: a plan that uses its whole budget.
+    // The longest possible delay of a stop occurs while a plan uses its whole budget.
     let gripper = format!("{WALLS}\n[[tool]]\nname = \"2f-85\"\n[[tool]]\nname = \"gen3-vision\"\n");
     for (name, scene) in [("bare", WALLS), ("with gripper and vision module", &gripper)] {
         let planner = self::planner(scene);

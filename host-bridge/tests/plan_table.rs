@@ -95,7 +95,7 @@ fn all_pairs_of_motions_via_home_and_direct() {
                 ends.iter().map(|end| end.1).fold(0.0, f64::max)
             );
             assert!(ends[1].0 <= ends[0].0 + 1e-9, "the direct way is never slower");
-            // For a move that reaches cruise speed, limited jerk adds the time to build up 0.43 rad/s².
+            // For a move that reaches cruise speed, the jerk limit adds the time that 0.43 rad/s² takes to build up.
             assert!((ends[2].0 - ends[1].0 - 0.43 / MAX_JERK_RAD_S3).abs() < 0.02, "{ends:?}");
             assert!(clearances_m.iter().all(|clearance_m| *clearance_m > 0.02));
             sum_home_s += ends[0].0;
@@ -124,7 +124,7 @@ fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
     println!("place → place-top-right: via home {papers_s:.2} s, direct {direct_s:.2} s");
     assert_eq!(robot.arm().joints_rad, pose("place-top-right"));
     assert_eq!(papers.arm().joints_rad, robot.arm().joints_rad);
-    // The path via home takes 6.1 s and 6.4 s. On the straight path joint 1 turns by 1.654 rad.
+    // The two parts of the path via home take 6.1 s and 6.4 s. On the straight path, joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
     assert_eq!(robot.picture().guard_stops, 0);
 }

@@ -1,6 +1,5 @@
-//! Tests driving in proportion to the tilt.
-//! The rules for silence, neutral, stops and the guard are those of driving with four headings;
-//! in addition it drives arcs.
+//! Tests driving with a speed that is proportional to the tilt.
+//! The rules for silence, neutral, stops and the guard are the same as for four headings. The base also drives arcs.
 //!
 //! The tilt is judged at 100 Hz by the board's code, and states are sent at 50 Hz.
 
@@ -17,7 +16,7 @@ use shared_dsp::left::tilt::{Tilt, TiltDetector};
 use shared_proto::message::{Heading, TiltThresholds};
 use support::{Rig, Virtual as _, moving};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The rest is a margin for the frame in transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The additional time is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 /// Caps at the start of a session, in m/s and rad/s.
@@ -56,7 +55,7 @@ impl Wearer {
     }
 }
 
-/// Fraction of the cap by the default rules, between 140 and 698 mrad.
+/// Returns the fraction of the cap according to the default rules, which apply between 140 and 698 mrad.
 fn share(mrad: i16) -> f64 {
     f64::from(mrad - 140) / 558.0
 }
@@ -68,7 +67,7 @@ fn the_base_drives_a_figure_of_eight_by_tilts_alone() {
     let mut wearer = Wearer::new("");
     let mut path = vec![wearer.rig.robot.odometry()];
     let from_ms = wearer.rig.now_ms;
-    // One full turn to the left and then one to the right, from the wearer's point of view.
+    // The base turns once to the left and then once to the right, as seen by the wearer.
     for (roll_mrad, until_rad) in [(roll_mrad, std::f64::consts::TAU), (-roll_mrad, 0.0)] {
         let has_turned = |heading_rad: f64| (heading_rad - until_rad) * f64::from(roll_mrad) >= 0.0;
         while !has_turned(path[path.len() - 1].heading_rad) {

@@ -19,7 +19,7 @@ use support::{Rig, Virtual as _};
 const HEADINGS: [Heading; 6] =
     [Heading::Neutral, Heading::Between, Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
 
-/// Statistics of the whole run.
+/// Statistics of all sessions.
 #[derive(Default, Debug)]
 struct Seen {
     stops: u32,
@@ -33,7 +33,7 @@ struct Watch {
     joints_rad: [f64; JOINTS],
     velocity_rad_s: [f64; JOINTS],
     wheels_rad_s: [f64; 2],
-    /// Time from which no motion may start, and maximum braking time after it.
+    /// Time after which no motion may start, and maximum braking time from then on.
     halted: Option<(u64, f64)>,
 }
 
@@ -133,7 +133,7 @@ fn session(seed: u64, seen: &mut Seen) {
                 }
             }
             8 => {
-                // A hand falls silent or resumes, or bytes are damaged.
+                // A hand falls silent, a hand resumes, or bytes are damaged.
                 let hand = Hand::BOTH[random.below(2)];
                 rig.talking[hand] = !rig.talking[hand];
                 let noise: Vec<u8> = (0..random.below(40)).map(|_| random.bits() as u8).collect();
@@ -165,7 +165,7 @@ fn whatever_two_hands_do_limits_hold_and_stops_end_at_rest() {
         session(seed, &mut seen);
     }
     println!("{sessions} sessions: {seen:?}");
-    // They did something.
+    // The sessions did move the robot.
     assert!(seen.stops > sessions as u32 && seen.motions > 20 && seen.path_m > sessions as f64 * 0.1);
     assert!(seen.braking_ms > 100);
 }

@@ -1,4 +1,4 @@
-//! Tests a robot that refuses commands, the ending of only the arm's motion, and a session with fewer permissions.
+//! Tests three things: a robot that refuses commands, ending only the arm's motion, and a restricted session.
 //! The tests use frames of both hands in virtual time and check every output.
 //!
 //! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 3 left-right (here: end arm).
@@ -30,8 +30,8 @@ use host_bridge::topics::{Entry, Origin, Outlet, Teller, Topic};
 use shared_proto::message::Heading;
 use support::{Rig, Virtual as _};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The rest is a margin for the frame in
-/// transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The additional time is a margin for
+/// the frame in transit.
 const REST_MS: u64 = 520;
 
 fn refuse(rig: &mut Rig, why: Option<&str>) {
@@ -57,7 +57,7 @@ fn a_robot_that_refuses_halts_base_and_arm_and_needs_neutral_when_it_does_not_an
     rig.run(REST_MS);
     assert!(rig.robot.at_rest());
     assert_eq!(halts(&rig), [HaltReason::RobotRefuses]);
-    // During the refusal, neutral does not arm the hand, and gestures have no effect.
+    // During the refusal, a neutral hand does not arm, and gestures have no effect.
     rig.take_moved();
     rig.point(Heading::Neutral, 2000);
     assert_eq!(rig.state(), State::Refused);
@@ -116,7 +116,7 @@ fn a_hand_that_falls_silent_during_a_refusal_is_waited_for_and_the_refusal_still
     assert!(!rig.take_moved());
 }
 
-/// Creates a rig in which the gesture left-right ends the arm's motion.
+/// Creates a rig in which the left-right gesture ends the arm's motion.
 fn with_end_arm() -> Rig {
     let mut map = MotionMap::default();
     map.assign("left-right=end arm").unwrap();
@@ -234,7 +234,7 @@ impl Robot for Moody {
     }
 }
 
-/// The newest state as observers receive it, and as a Foxglove client receives it.
+/// Returns the newest state in two forms: as observers receive it, and as a Foxglove client receives it.
 #[derive(Clone, Default)]
 struct Surfaces {
     snapshot: Arc<Mutex<Option<Snapshot>>>,
@@ -273,7 +273,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
         for _ in 0..ms {
             now_ms += 1;
             said.extend(live.advance(now_ms, [true; 2]));
-            // Neutral first.
+            // The hand is first neutral.
             if now_ms > 1000 && now_ms % 100 == 0 {
                 live.press(HandKey::Arrow(Heading::Forward), now_ms);
             }
@@ -299,7 +299,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     let page = serde_json::to_string(&snapshot).unwrap();
     assert!(page.contains("\"safety\":\"refused\"") && page.contains("2.00 s apart"), "{page}");
     assert!(surfaces.diagnostics.lock().unwrap().contains("2.00 s apart"));
-    // A changing number in the reason does not cause a new report.
+    // If only a number in the reason changes, there is no new report.
     *refusal.lock().unwrap() = Some("the clocks are 2.01 s apart".to_owned());
     assert!(!run(&mut live, 100).contains("refuses"));
     let entries = std::mem::take(&mut *surfaces.entries.lock().unwrap());
@@ -358,7 +358,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert_eq!(outcome, Played::Not("the robot refuses to move: the e-stop is pressed".to_owned()));
     assert!(took_ms >= SEARCH_MS);
     assert_eq!(door.robot().simulator.motion(), before, "nothing has moved");
-    // The robot refuses during the motion: it stops within the braking time, and the rest of the motion is cancelled.
+    // The robot refuses during the motion: it stops within the braking time, and the remaining motion is cancelled.
     let (mut door, refusal, there) = taught();
     let (outcome, ended_ms, _) = play(&mut door, |now_ms| {
         if now_ms == 2000 {
@@ -382,7 +382,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert!(door.robot().simulator.at_rest());
 }
 
-/// A motion of three steps: a move, a wait and another move.
+/// The motion has three steps: a move, a wait and another move.
 const OF_THREE: &str = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"pick-up\" }, { wait_s = 4 }, { to = \"place\" }]\n\
                         [motions]\nto-fro = \"own\"\n";
 
@@ -409,7 +409,7 @@ fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutr
     let takes_ms = rig.now_ms - from_ms;
     let first_rest = rests.iter().skip(20).position(|rest| *rest).unwrap() as u64 + 20;
     println!("the whole takes {takes_ms} ms, it waits from {} ms on", 100 * first_rest);
-    // Moments in the first move, in the wait, and in the last move.
+    // These times are during the first move, the wait, and the last move.
     let moments_ms = [2000, 100 * first_rest + 1500, takes_ms - 3000];
     type Holds = fn(&mut Rig);
     let holds: [(&str, Holds, Holds); 5] = [

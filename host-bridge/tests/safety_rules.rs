@@ -12,8 +12,8 @@ use proptest::prelude::*;
 use shared_proto::message::{Board, Heading, PROTOCOL_MAJOR, health};
 use support::{LABELS, Rig, Virtual as _, hello, hello_of, model, pose};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The rest is a margin for the frame in
-/// transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The additional time is a margin for
+/// the frame in transit.
 const REST_MS: u64 = 520;
 
 #[test]
@@ -387,7 +387,7 @@ fn a_restarted_board_needs_neutral_again_and_its_counters_start_anew() {
     rig.run(20);
     let cap = rig.bridge.caps().linear_m_s;
     rig.point(Heading::Forward, 1000);
-    // The board restarts, and its clock, sequence number and counters start again at 0.
+    // The board restarts, so its clock, sequence number and counters start again at 0.
     rig.board_ahead_ms = 0_u32.wrapping_sub(rig.now_ms as u32);
     rig.left.sequence = 0;
     rig.left.index_bends = 5;
@@ -465,7 +465,7 @@ fn stop_halts_base_and_arm_and_resets_the_caps() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5);
     rig.run(REST_MS + 200);
     assert!(rig.robot.at_rest());
-    // Tilt, neutral, time and other gestures do not release the stop.
+    // A tilt, neutral, waiting and other gestures do not release the stop.
     rig.take_moved();
     rig.point(Heading::Forward, 1000);
     rig.point(Heading::Neutral, 5000);
@@ -550,7 +550,7 @@ fn the_release_key_counts_only_without_a_right_hand() {
     rig.run(2000);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
     assert_eq!(rig.state(), State::Stopped);
-    // Silence of the right hand does not change this.
+    // Silence of the right hand does not change the result.
     rig.talking.right = false;
     rig.run(2000);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
@@ -729,7 +729,7 @@ proptest! {
                 }
                 Step::Silence(left, right) => rig.talking = PerHand { left, right },
                 Step::Health(left, right) => {
-                    // Mostly well.
+                    // Most of the random values count as healthy.
                     rig.left.health = if left < 96 { 0 } else { left };
                     rig.right.health = if right < 96 { 0 } else { right };
                 }
@@ -755,7 +755,7 @@ proptest! {
     }
 }
 
-/// More under `BIMANUAL_FULL=1`.
+/// There are more sessions under `BIMANUAL_FULL=1`.
 fn cases() -> u32 {
     if std::env::var_os("BIMANUAL_FULL").is_some() { 2000 } else { 100 }
 }

@@ -18,7 +18,7 @@ fn robot(scene: &str) -> Robot {
     in_scene(Planner::new(host_bridge::arm::model::SerialArm::gen3(), scene).unwrap())
 }
 
-/// Waits for the end of the current motion and returns the reports of that time.
+/// Waits for the end of the current motion, and returns the reports received meanwhile.
 fn finish(robot: &mut Robot) -> Vec<Report> {
     let mut reports = Vec::new();
     for _ in 0..4000 {
@@ -92,7 +92,7 @@ fn what_cannot_be_done_is_refused_with_its_step_before_anything_moves() {
             "{ to = \"carry\" }, { position_m = [0.8, 0, 0.3], quaternion_wxyz = [0, 1, 0, 0] }",
             "step 2: no joint angles were found",
         ),
-        // This step is not next to a gripper step, so the arm must not touch anything.
+        // This step does not follow or precede a gripper step, so the arm must not touch anything.
         (
             "{ position_m = [0.7, 0.0, 0.66], quaternion_wxyz = [0, 1, 0, 0] }, { move_m = [0, 0, -0.14] }",
             "step 2: the straight line is not clear: the gripper's fingers would come within",
@@ -145,7 +145,7 @@ fn a_stop_while_it_puts_down_leaves_the_cup_in_the_hand_or_where_it_was_put() {
 #[test]
 fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
     let mut parts = Vec::new();
-    // The motion takes 17 s and is stopped at every half second.
+    // The motion takes 17 s, and it is stopped at every half second in turn.
     for stop_ms in (500..17_000).step_by(500) {
         let mut robot = robot(SCENE);
         robot.start("pick-up").unwrap();
@@ -260,7 +260,7 @@ fn a_motion_that_is_late_for_its_next_part_or_loses_who_commands_does_not_go_on(
     }
     let rested = robot.arm().joints_rad;
     assert!(robot.arm().running.is_some(), "it waits");
-    // Commands have ended. The simulated robot stops by itself after 0.5 s and does not continue later.
+    // Commands are no longer sent. The simulated robot stops by itself after 0.5 s and does not continue later.
     robot.pass(5000);
     let reports = robot.take_reports();
     assert_eq!(ended(&reports), Some(false), "{reports:?}");

@@ -1,4 +1,4 @@
-//! Tests session files that were modified by other programs or damaged, and their use in other programs.
+//! Tests session files that other programs have modified or damaged, and the use of session files in other programs.
 #![cfg(feature = "mcap")]
 
 use std::collections::HashMap;
@@ -101,7 +101,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
     let mut writer = options.create(NoSeek::new(Sink::new(storage))).unwrap();
     copy(&mut writer, "");
     writer.flush().unwrap();
-    // Leaking the writer leaves the file without its end.
+    // If the writer is leaked, the file has no end.
     std::mem::forget(writer);
     let indexed = |file: &Path| {
         let bytes = std::fs::read(file).unwrap();
@@ -124,7 +124,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
 #[test]
 fn a_damaged_step_does_not_run_for_ever() {
     let mut file = demo().to_vec();
-    // In a message of steps, the first time follows the type of the first step. The test replaces it with a huge value.
+    // In a message of steps, the first time value follows the first step's type. The test makes this time huge.
     let turns =
         mcap::read::ChunkFlattener::new(demo()).unwrap().filter_map(Result::ok).find_map(
             |record| match record {

@@ -21,7 +21,7 @@ use moving::{Robot, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// Limit in wall-clock time, so that a hang cannot block the tests.
+/// Limit in wall-clock time, so that a test cannot hang forever.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 fn any_port() -> WebOptions {
@@ -82,7 +82,7 @@ fn session() -> (Web, Live) {
     (web, live)
 }
 
-/// Publishes a step whose state is sent to pages. How many earlier steps were sent depends on the speed of the machine.
+/// Publishes a step whose state is sent to pages. The number of earlier states sent depends on the machine's speed.
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
     live.advance(now_ms, [true; 2]);
@@ -122,7 +122,7 @@ fn a_page_is_told_what_the_wearer_is_asked_and_presses_the_button() {
     assert_eq!((&right["prompt"]["button"], &right["nearly"]), (&"show three of each".into(), &Value::Null));
     page.send(Message::text("show")).unwrap();
     let _ = page.send(Message::text("show it"));
-    // A message that no page sends ends the connection: by then all messages before it were read.
+    // A message that no page sends ends the connection; by then, all earlier messages were read.
     while page.read().is_ok() {}
     let shows = web.shows();
     assert!(shows() && !shows());
@@ -249,7 +249,7 @@ fn a_page_that_takes_nothing_gets_two_frames_and_then_only_the_newest() {
         publish_step(&mut live, now_ms);
         last = message(&mut socket);
     }
-    // Nobody acknowledges these.
+    // Nobody acknowledges these frames.
     for now_ms in 590..600 {
         publish_step(&mut live, now_ms);
     }

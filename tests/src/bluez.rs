@@ -1,13 +1,12 @@
 //! Simulates BlueZ, the system's Bluetooth service, on a private D-Bus.
-//! It implements the part of the interface that is needed to find, connect and use one board. There is no radio.
+//! It implements only what is needed to find, connect and use one board. There is no radio.
 //!
-//! The board at the other end is any device on a serial port, such as an emulated board's pseudo-terminal.
-//! Its bytes become notifications, and writes become its input.
+//! The board is any device on a serial port, such as an emulated board's pseudo-terminal.
+//! Bytes from the board become notifications, and writes become input of the board.
 //! While the port does not exist, the board is out of range.
 //!
-//! Objects, properties and errors have the names of BlueZ 5.66 (`doc/*-api.txt`).
-//! The adapter `hci0` contains the board after its discovery,
-//! and the board contains its service and two characteristics.
+//! Objects, properties and errors have the same names as in BlueZ 5.66 (`doc/*-api.txt`).
+//! After discovery, the adapter `hci0` contains the board, which contains its service with two characteristics.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -38,7 +37,7 @@ const HAND: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010";
 const OUT: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010/char0011";
 const IN: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010/char0014";
 
-/// The same UUIDs as in `firmware-nano33/src/ble.rs`.
+/// The UUIDs are the same as in `firmware-nano33/src/ble.rs`.
 const UUID: &str = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33";
 const OUT_UUID: &str = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33";
 const IN_UUID: &str = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33";
@@ -84,7 +83,7 @@ enum Order {
     End,
 }
 
-/// A private bus.
+/// A private D-Bus.
 pub struct Bus {
     daemon: Child,
     /// The value for `DBUS_SYSTEM_BUS_ADDRESS`.
@@ -127,7 +126,7 @@ impl Drop for Bus {
     }
 }
 
-/// The service on a bus.
+/// The simulated service on a bus.
 pub struct Bluez {
     orders: Sender<Order>,
     thread: Option<JoinHandle<()>>,
@@ -352,7 +351,7 @@ impl Service {
                 }
             }
             Err(error) if error.kind() == std::io::ErrorKind::TimedOut => {}
-            // Out of reach.
+            // The board is out of range.
             _ => self.disconnected(),
         }
     }
@@ -391,7 +390,7 @@ impl Service {
                 let value = object.and_then(|properties| properties.get(name));
                 value.map_or_else(|| unknown(message), |v| message.method_return().append1(v.variant()))
             }
-            // btleplug enables a disabled adapter before it scans, which this program must not do.
+            // btleplug enables a disabled adapter before it scans, but our program must not enable it.
             (PROPERTIES, "Set") if self.flag(HCI, ADAPTER, "Powered") => done(),
             (PROPERTIES, "Set") => failed(message, "org.bluez.Error.Blocked", c"Blocked through rfkill"),
             (ADAPTER, "SetDiscoveryFilter") => done(),

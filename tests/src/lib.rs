@@ -1,4 +1,4 @@
-//! End-to-end tests.
+//! End-to-end tests with emulated boards.
 
 #[cfg(any(feature = "avr", feature = "nrf"))]
 mod firmware;

@@ -6,7 +6,7 @@
 //! motion   -> nRF52840 (unicorn)  -> UART, USB, BLE -----/
 //! ```
 //!
-//! Each board has its own clock. A step lets both run up to the same moment of the desk's time.
+//! Each board has its own clock. In a step, both boards run up to the same moment of the desk's time.
 
 use host_bridge::arm::Director;
 use host_bridge::bridge::{Bridge, BridgeEvent};
@@ -31,11 +31,11 @@ use crate::nrf::usb_host::UsbHost;
 
 /// The left board with its cable.
 pub struct Left {
-    /// The board.
+    /// The emulated board.
     pub nano: Nano,
     /// Whether the cable's data lines are connected.
     pub cable: bool,
-    /// The board's clock when the desk's clock was 0; negative for a board that was powered later.
+    /// The board's clock at the moment when the desk's clock was 0; negative for a board that was powered later.
     zero_cycle: i64,
 }
 
@@ -62,7 +62,7 @@ impl Left {
         if self.cable { bytes } else { Vec::new() }
     }
 
-    /// Pulls and reconnects the cable, which is also the power supply. The board restarts with its EEPROM.
+    /// Disconnects and reconnects the cable, which is also the power supply. The board restarts with its EEPROM.
     pub fn power_again(&mut self, desk_ms: u64, voltages: Box<dyn Voltages>) {
         let eeprom = self.nano.eeprom();
         self.nano = Nano::new(&left_image(), &eeprom, voltages);
@@ -74,34 +74,34 @@ impl Left {
 /// The connection of the right board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cable {
-    /// D0 and D1.
+    /// The UART at D0 and D1.
     Uart,
     /// The USB cable.
     Usb,
-    /// Bluetooth with the other image, on the model of S140.
+    /// Bluetooth with the image for S140, on the model of S140.
     Ble,
-    /// Bluetooth linked in, with bumble as the air and the laptop's Bluetooth, at 15 ms.
+    /// Bluetooth linked into the image. Bumble simulates the radio and the laptop, with an interval of 15 ms.
     Air,
 }
 
 /// The current state of the right board's connection.
 #[derive(Debug)]
 pub enum Wire {
-    /// D0 and D1, and whether the cable is connected.
+    /// The UART at D0 and D1, and whether its cable is connected.
     Uart(bool),
     /// The USB cable.
     Usb(UsbHost),
     /// Bluetooth.
     Ble(BleHost),
-    /// Bluetooth through bumble.
+    /// Bluetooth, simulated by bumble.
     Air(AirHost),
 }
 
 /// The right board with its cable.
 pub struct Right {
-    /// The board.
+    /// The emulated board.
     pub board: Board,
-    /// The cable.
+    /// The connection to the laptop.
     pub wire: Wire,
     zero_cycle: u64,
 }
@@ -208,8 +208,7 @@ impl Right {
     }
 }
 
-/// Simulates a bad cable: changes the bytes that a board sends in a millisecond,
-/// and adds bytes on their way to the board.
+/// Simulates a bad cable, which changes the bytes from a board and adds bytes on their way to the board.
 pub type Disturbance = Box<dyn FnMut(Hand, &mut Vec<u8>) -> Vec<u8>>;
 
 /// The desk with boards, laptop and robot.
@@ -218,13 +217,13 @@ pub struct TwoHands {
     pub left: Option<Left>,
     /// The right board, if it takes part.
     pub right: Option<Right>,
-    /// The laptop.
+    /// The laptop's bridge.
     pub bridge: Bridge,
-    /// The robot.
+    /// The simulated robot.
     pub robot: Director<Simulator>,
-    /// All events on the bridge, with the desk's time.
+    /// All events on the bridge, each with the desk's time.
     pub log: Vec<BridgeEvent>,
-    /// The disturbance of the cables.
+    /// The function that disturbs the cables.
     pub disturbance: Option<Disturbance>,
     now_ms: u64,
 }
@@ -243,15 +242,15 @@ impl TwoHands {
         }
     }
 
-    /// The desk's time.
+    /// Returns the desk's time.
     pub fn now_ms(&self) -> u64 {
         self.now_ms
     }
 
-    /// The left board's clock in seconds.
+    /// Returns the left board's clock in seconds.
     ///
     /// # Panics
-    /// Without a left board.
+    /// Panics if there is no left board.
     pub fn left_seconds(&self) -> f64 {
         self.left.as_ref().expect("a left board").seconds_at(self.now_ms)
     }
@@ -277,7 +276,7 @@ impl TwoHands {
             while let Some(message) = self.next_message(hand) {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
-                // This terminates noise on the line.
+                // This byte ends the noise on the line.
                 self.send(hand, &[DELIMITER]);
                 self.send(hand, frame);
             }
@@ -306,7 +305,7 @@ impl TwoHands {
         }
     }
 
-    /// A while.
+    /// Runs for some time.
     pub fn run_ms(&mut self, ms: u64) {
         for _ in 0..ms {
             self.step();
@@ -331,17 +330,17 @@ impl TwoHands {
         &self.log[self.log.len().saturating_sub(12)..]
     }
 
-    /// Does any wheel turn?
+    /// Returns whether any wheel turns.
     pub fn base_moves(&self) -> bool {
         self.robot.robot().wheels_rad_s() != [0.0; 2]
     }
 
-    /// Does any joint turn?
+    /// Returns whether any joint turns.
     pub fn arm_moves(&self) -> bool {
         !self.robot.picture().arm.at_rest()
     }
 
-    /// Whether the hands drive the robot.
+    /// Returns whether the hands control the robot.
     pub fn is_armed(&self) -> bool {
         self.bridge.safety().state() == State::Armed
     }

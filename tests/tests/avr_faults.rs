@@ -94,7 +94,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
                 (before.index_bends, before.middle_bends, false),
                 "{name}"
             );
-            // The fault is repaired while the hand is tilted forward: no command until the hand has been neutral.
+            // The fault is repaired while the hand is tilted forward. No command may appear until the hand has been neutral.
             hand.borrow_mut().fault = None;
             hand.borrow_mut().tilt(FORWARD_RAD, 0.0, now_s(&session), 0.01);
             let states = session.states(1500.0);
@@ -357,16 +357,16 @@ fn nothing_is_kept_at_address_0_of_the_eeprom() {
 fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     let (mut session, _hand) = powered(&BLANK, 14);
     session.run_ms(1000.0);
-    // The program enters an endless loop with interrupts disabled, the end of a program in the C runtime.
+    // The program enters an endless loop with interrupts disabled, as at the end of a C program.
     session.nano.jump(image::stop_program());
     let heard = session.run_ms(2000.0);
-    // The interrupt remains pending, so the second time-out resets the board.
+    // The interrupt remains pending, so the second time-out of the watchdog resets the board.
     assert_eq!(session.nano.resets(), 1, "the watchdog resets");
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Fault(f) if f.kind == FaultKind::Watchdog)));
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
 }
 
-/// Tests the remaining effect of the old bootloader's trap: the board is silent, the robot at rest, and a reset helps.
+/// Tests what remains of the old bootloader's endless reset: the board is silent, the robot is at rest, and a reset helps.
 #[test]
 fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {
     let (mut session, hand) = powered(&BLANK, 26);
@@ -394,7 +394,7 @@ fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_un
 fn no_reference_but_aref_is_ever_selected() {
     let (mut session, _hand) = powered(&BLANK, 15);
     session.run_ms(2000.0);
-    // `run_ms` panics at any other setting, so this run checks the setting.
+    // `run_ms` panics if the converter's reference is wrong, so this run checks the reference.
     assert_eq!(session.nano.peek(0x7C) >> 6, 0);
     assert!(session.nano.conversions() > 8000, "45 conversions per sample, 100 samples per second");
 }
@@ -408,11 +408,11 @@ fn the_watch_on_the_reference_sees_a_wrong_one() {
     session.run_ms(100.0);
 }
 
-/// Poses of the two calibrations, before and after the power cut.
+/// Poses of the two calibrations: the one before the power cut, and the one after it.
 const OLD_POSE: f64 = 0.0;
 const NEW_POSE: f64 = 0.12;
 
-/// Calibrates neutral at `pose` (radians forward).
+/// Calibrates neutral at `pose`, in radians forward.
 fn calibrate_at(session: &mut LeftRig, hand: &Rc<RefCell<Hand>>, pose: f64) -> AckResult {
     hand.borrow_mut().tilt(pose, 0.0, now_s(session), 0.0);
     session.run_ms(100.0);
@@ -432,7 +432,7 @@ fn pitch_after_power_on(eeprom: &[u8; EEPROM_BYTES], pose: f64) -> (f64, u8, boo
 
 #[test]
 fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
-    // Creates a board with a good calibration, in each of the two slots in turn.
+    // Creates boards with a good calibration, once in each of the two slots.
     let (mut session, hand) = powered(&BLANK, 18);
     session.run_ms(300.0);
     assert_eq!(calibrate_at(&mut session, &hand, 0.05), AckResult::Ok);
@@ -450,7 +450,7 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
         let writes = session.nano.eeprom_writes()[counted..].to_vec();
         assert!(writes.len() >= 6, "a record was written: {writes:?}");
         let mut eeprom = before;
-        // The start counter was written before.
+        // The board had already written its start counter.
         for write in &session.nano.eeprom_writes()[..counted] {
             eeprom[write.address as usize] = write.new;
         }

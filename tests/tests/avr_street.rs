@@ -13,7 +13,7 @@ use tests::avr::street::Street;
 use tests::avr::wearer::{Sensors, Wearer, normal};
 use tests::is_full;
 
-/// Returns pin voltages of a nominal hand that tips forward in one step at a given clock cycle.
+/// Returns pin voltages of a nominal hand that tilts forward in a single step at a given clock cycle.
 fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> PinInput {
     let mut rng = Rng::with_seed(5);
     move |pin, cycle| {
@@ -67,7 +67,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
     }
 }
 
-/// Replays the paper's 10 s: hold, eight index bends to 1.00 m/s, steady, seven middle bends, hold.
+/// Replays the 10 s from the paper: hold, eight index bends to 1.00 m/s, steady, seven middle bends, hold.
 #[test]
 fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(6));

@@ -11,7 +11,7 @@ fn jobs(parts: Parts, seeds: std::ops::Range<u64>, count: u32) -> Vec<Job> {
     seeds.map(|seed| Job { seed, parts, count }).collect()
 }
 
-/// 400 trials (100 per direction) by 20 wearers with 5 tilts per direction each. The short run has 2 wearers.
+/// 20 wearers perform 400 trials (100 per direction, 5 per wearer and direction). In the short run there are 2 wearers.
 #[test]
 fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     let wearers = if is_full() { 20 } else { 2 };
@@ -49,7 +49,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     assert_eq!(reversed, 0);
 }
 
-/// 10 minutes, half of them by the wearers whose components make each tilt appear largest.
+/// The tremor lasts 10 minutes in total, half of it with wearers whose components make each tilt appear largest.
 #[test]
 fn tremor_of_11_degrees_never_commands() {
     let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 10) };

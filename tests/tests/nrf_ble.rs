@@ -1,5 +1,4 @@
-//! Tests the image with the SoftDevice S140: it boots correctly, advertises,
-//! and sends the same data over Bluetooth and UART.
+//! Tests the image with the SoftDevice S140: it boots, advertises, and sends the same data over Bluetooth and UART.
 #![cfg(feature = "nrf")]
 
 use models::synth::{self, Motion, Segment};
@@ -34,7 +33,7 @@ fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
     assert_eq!(heard.part(ADVERTISED_NAME), Some(&b"bimanual-right"[..]));
     assert_eq!(heard.part(ADVERTISED_SERVICES), Some(&SERVICE.to_le_bytes()[..]));
     assert_eq!(softdevice.discover().0, [SERVICE]);
-    // One advertisement every 30 to 40 ms, starting after about 10 ms.
+    // The board sends an advertisement every 30 to 40 ms, starting after about 10 ms.
     let count = softdevice.central.advertisements;
     println!("{count} advertisements in the first second");
     assert!((24..=34).contains(&count));
@@ -154,8 +153,8 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
         100.0 * share,
         100.0 * own as f64 / session.board.now() as f64
     );
-    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with DC/DC converter;
-    // 3.16 uA asleep with RAM and RTC.
+    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
+    // The specification also gives 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:.0} uA (radio and sensor come on top)",
         share * 0.052 * 64e3 + 3.16
@@ -280,7 +279,7 @@ fn raw_samples_arrive_without_a_gap() {
     assert!((980..=1010).contains(&samples));
 }
 
-/// Numbers of complete and damaged frames in a byte stream.
+/// Returns the numbers of complete and damaged frames in a byte stream.
 fn frames(notified: &[(u64, Vec<u8>)]) -> (u32, u32) {
     let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
     let bytes = notified.iter().flat_map(|(_, bytes)| bytes);

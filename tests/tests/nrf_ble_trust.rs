@@ -14,7 +14,7 @@ const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
 const REFUSED: u8 = 5;
 
-/// A laptop that pairs without bonding, or does not pair.
+/// Runs a laptop that pairs without bonding, or does not pair.
 fn stranger(pairs: bool) -> RightRig {
     let mut session = RightRig::ble(Box::new(Still));
     let mut host = BleHost::default();
@@ -62,7 +62,7 @@ fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
         session.run_ms(5000);
         assert!(hung_up(&mut session), "pairs: {pairs}: {:?}", session.log());
     }
-    // The owner stays.
+    // The owner's bond is kept.
     let mut session = RightRig::ble_ready();
     session.run_ms(25_000);
     assert!(!session.log().iter().any(|what| matches!(what, Happening::Disconnected(_))));
@@ -206,8 +206,8 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     println!("dropped samples so far: {worst:?}");
 }
 
-/// S140 requires an authenticated packet every 480 s, and nrf-softdevice panics without one
-/// if the laptop lacks LE Ping.
+/// S140 requires an authenticated packet every 480 s. Without one, nrf-softdevice panics
+/// if the laptop does not support LE Ping.
 #[test]
 fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
     let mut session = RightRig::ble_ready();

@@ -163,7 +163,7 @@ fn the_xiao_measures_its_battery() {
             println!("{battery_mv} mV: {said} mV");
             assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
         };
-        // Nobody has asked.
+        // No program has asked for vibration.
         measures(battery_mv, 1500);
         if let Some(later_mv) = later_mv {
             measures(later_mv, 61_000);
@@ -227,7 +227,7 @@ fn drives(session: &mut RightRig, start: u64) -> Vec<(u64, f64)> {
     drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
 }
 
-/// Compares the duty cycles and times, with a tolerance of some milliseconds because a frame takes one on the wire.
+/// Compares the duty cycles and times, with a tolerance of some milliseconds because a frame takes one millisecond on the wire.
 fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
     assert_eq!(seen.len(), wanted.len(), "{what}: {seen:?}");
     for ((at_ms, high), (wanted_ms, wanted_high)) in seen.iter().zip(wanted) {

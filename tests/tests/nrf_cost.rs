@@ -1,5 +1,5 @@
-//! Measures the cost of recognition on the board: instructions, time awake and memory,
-//! compared with the paper and others.
+//! Measures the cost of recognition on the board (instructions, time awake and memory), and compares it with the paper's
+//! and other results.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::aligned::AlignedWindow;
@@ -11,7 +11,7 @@ use tests::nrf::lsm9ds1::{Motion, Still};
 use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{install, random_model};
 
-/// A hand that never rests.
+/// Returns the motion of a hand that never rests.
 struct Wild;
 
 impl Motion for Wild {
@@ -23,16 +23,16 @@ impl Motion for Wild {
     }
 }
 
-/// Medians and maxima of executed instructions per hop.
+/// Medians and maxima of executed instructions, each for one hop.
 struct Cost {
     hop: (u64, u64),
     features: (u64, u64),
-    /// Instructions of the layers and the softmax.
+    /// Number of instructions of the layers and the softmax.
     network: u64,
-    /// Instructions for scaling the features to int8, including a logarithm of some features in recipe 2.
+    /// Number of instructions for scaling the features to int8. In recipe 2 this includes a logarithm of some features.
     to_int8: u64,
     worst_sample: u64,
-    /// Stack of the network in bytes.
+    /// Stack depth of the network in bytes.
     stack: u64,
     awake_share: f64,
 }
@@ -54,8 +54,8 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         let board = &mut session.board;
         names.iter().map(|name| if stack { board.probe_stack(name) } else { board.probe(name) }).collect()
     };
-    // The stack is painted again before the layers, so that the calculation of the inputs is excluded, as in the other
-    // measurements.
+    // The stack is filled with a pattern again before the layers, so that the calculation of the inputs does not count,
+    // as in the other measurements.
     let forward = probe(&forward, true);
     let inputs_and_forward = probe(&inputs_and_forward, true);
     let softmax = probe(&softmax, true);
@@ -113,8 +113,8 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
         cost.awake_share * 100.0
     );
-    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with DC/DC converter;
-    // 3.16 uA asleep with RAM and RTC.
+    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
+    // The specification also gives 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,
@@ -141,9 +141,8 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // Results of ../shared/reference/peers.md for the network with softmax, from int8 inputs:
-    // the best value per column, and
-    // those of the paper.
+    // Results of other implementations and of the paper, from ../shared/reference/peers.md.
+    // They apply to the network with softmax, calculated from int8 inputs.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -198,14 +197,16 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
     assert!(flash <= 17_900, "network and its weights: {flash} B");
 }
 
-/// Current in mA of each sensor in the configuration of the images, from its data sheet.
-/// LSM9DS1: gyroscope 4.0, accelerometer and magnetometer 0.6; BMI270: performance mode; LSM6DS3TR-C: high performance.
+/// Current in mA of each sensor as the images configure it, from its data sheet.
+/// The LSM9DS1 has 4.0 for the gyroscope and 0.6 for accelerometer and magnetometer. The BMI270 is in performance mode,
+/// and the LSM6DS3TR-C in high-performance mode.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
-/// nRF52840: 52 uA/MHz awake from flash at 3 V with DC/DC converter; the next value is asleep with RAM and clock.
+/// Current of the nRF52840: awake 52 uA/MHz, from flash at 3 V with DC/DC converter. The next value is for sleep with
+/// RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
 const ASLEEP_MA: f64 = 0.003_16;
 
-/// Shares of time: total awake, classification (window, features, network, decision), and S140.
+/// Shares of the time: awake in total, classification (window, features, network, decision), and S140.
 struct Awake {
     all: f64,
     naming: f64,
@@ -231,9 +232,8 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
 }
 
 /// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
-/// The sensor must keep running, because the dead-man rule requires fresh samples
-/// and a gesture's window starts before the
-/// gesture is detected.
+/// The sensor must keep running: the dead-man rule requires fresh samples.
+/// In addition, the window of a gesture starts before the gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
     println!(
@@ -258,8 +258,7 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
                 100.0 * saved / mah
             );
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
-            // This is the maximum saving from pausing the classifier at rest,
-            // on the board with the lowest sensor current.
+            // This is the maximum saving from pausing the classifier at rest, on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
         }
     }

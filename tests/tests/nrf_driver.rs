@@ -37,7 +37,7 @@ impl Wire {
         Self { bus: Rc::new(Cell::new(Some(bus))), now: Rc::default() }
     }
 
-    /// Calls `what` with the bus.
+    /// Calls the function `what` with the bus.
     fn with<T>(&self, what: impl FnOnce(&mut Bus, u64) -> T) -> T {
         let mut bus = self.bus.take().expect("one at a time");
         let result = what(&mut bus, self.now.get());
@@ -103,7 +103,7 @@ fn start<I: Imu>(driver: &mut I, wire: &Wire) -> Result<(), ImuError> {
     wait(driver.start(&mut wire.delay()))
 }
 
-/// Returns the sets of this many milliseconds, fetched every 10 ms.
+/// Returns the sets of samples for this many milliseconds, fetched every 10 ms.
 fn sets<I: Imu>(driver: &mut I, wire: &Wire, milliseconds: u64) -> Vec<[i16; 6]> {
     let mut all = Vec::new();
     let mut batch = Batch::default();
@@ -215,7 +215,7 @@ fn the_sensor_that_is_there_is_found_and_what_is_not_is_named() {
     assert_eq!(find(&xiao, &[Kind::Bmi270]), Err(ImuError::Missing(0x68)));
 }
 
-/// Starts the sensor, which loses a setting during or after the start. A wrong `register` changes the scale.
+/// Starts the sensor, which loses one setting during or after the start. A wrong `register` changes the scale.
 fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
     wire.with(|bus, _| bus.sensor.lose_write(register));
     assert_eq!(start(driver, wire), Err(ImuError::Reset(address)), "{register:#x} did not arrive");

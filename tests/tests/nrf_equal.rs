@@ -26,7 +26,7 @@ struct Window {
     counts: Vec<[i16; 9]>,
     times_ms: Vec<u32>,
     at: Vec<u64>,
-    /// The board's stored hand data once a second, with the number of samples before it.
+    /// Data that the board stores about the hand, read once a second, with the number of samples before that moment.
     memory: Vec<(usize, Vec<u8>)>,
 }
 
@@ -76,7 +76,7 @@ fn watch(session: &mut RightRig, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8
 /// Takes a sample, and returns no features until the window is full.
 type Features = Box<dyn FnMut(&[f32; 9]) -> Option<Vec<f32>>>;
 
-/// The laptop's features of a recipe.
+/// Calculates the laptop's features for a recipe.
 fn features(recipe: FeatureKind) -> Features {
     match recipe {
         FeatureKind::Raw | FeatureKind::LogPower => {
@@ -199,7 +199,7 @@ fn resample(kind: Kind, rows: Vec<[f64; 9]>) -> Resampled {
 
     let scale = SCALE;
     let period_ms = CLOCK_RATIO * 1000.0 / sensor_hz(kind);
-    // The BMI270's counts are converted, which adds another rounding.
+    // The BMI270's counts are converted, which adds another rounding error.
     let rounding = if kind == Kind::Nano33Rev2 { 1.5 } else { 1.0 };
     let mut errors = Vec::new();
     let mut next = 0;
@@ -356,7 +356,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     let from = window.at.iter().position(|&at| at >= 2 * HZ).unwrap();
     let minute = window.at[from..].iter().filter(|&&at| at < 62 * HZ).count();
     let status = session.heard.statuses.last().unwrap();
-    // Difference from the true motion at the grid time minus the specified delay.
+    // Returns the difference from the true motion at the grid time minus the specified delay.
     let scale = SCALE;
     let mut worst = [0.0f64; 2];
     let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
@@ -381,11 +381,11 @@ fn a_minute(kind: Kind, ratio: f64) {
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
     // The maximum error of the time of a set on the grid.
     // At these ratios, 200 and 208 Hz are 25/12, 13/6 and exactly 2 times 100 Hz.
-    // Polls then occur at only a few phases of the sensor's period, or one.
-    // The age of a set remains uncertain within that interval, equally for all samples, until the clocks drift.
+    // Polls then occur at only a few phases of the sensor's period, or even at only one.
+    // Within that interval, the age of a set remains uncertain, equally for all samples, until the clocks drift.
     let period_ms = if kind == Kind::Nano33 { 0.0 } else { ratio * 1000.0 / sensor_hz(kind) };
     let timing_ms = TIMING_MS + period_ms;
-    // Slopes are up to 61 m/s^3 and 2,100 deg/s^2, converted to counts per ms; rounding adds one count.
+    // Slopes are up to 61 m/s^3 and 2,100 deg/s^2, converted to counts per ms. Rounding adds one count.
     let allowed = [51.0, 30.0].map(|slope| 1.0 + slope * timing_ms);
     assert!(worst[0] <= allowed[0] && worst[1] <= allowed[1], "{worst:?} of {allowed:?}");
 }

@@ -187,7 +187,7 @@ fn a_board_whose_tasks_stand_still_is_restarted_by_its_watchdog_and_says_so() {
     assert!(session.board.resets.contains(&2), "{:?}", session.board.resets);
     session.send(&HostMessage::HelloRequest);
     session.run_ms(100);
-    // One hello at the start and one as a reply.
+    // The board sends one hello at the start and one as a reply.
     assert_eq!(session.heard.hellos.len(), hello + 2);
     assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::Watchdog));
 }

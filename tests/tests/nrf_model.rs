@@ -1,5 +1,4 @@
-//! Tests sending a model over the wire: it is stored and used after the restart,
-//! and a failure never loses the old model.
+//! Tests sending a model over the wire: it is stored, it is used after the restart, and no failure loses the old model.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::kind::FeatureKind;

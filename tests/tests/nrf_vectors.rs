@@ -1,6 +1,6 @@
 //! Checks in the linked images that no used interrupt leads to the default handler.
 //!
-//! Two register crates in one image can link silently without some handlers (see `firmware-nano33/pac`).
+//! If one image contains two register crates, it can link silently without some handlers (see `firmware-nano33/pac`).
 #![cfg(feature = "nrf")]
 
 use tests::nrf::build::{Variant, image};
@@ -17,7 +17,7 @@ fn check(image: &Image, used: &[(usize, &str)], origin: u32) {
         assert_ne!(handler, default, "{name} ends in the default handler");
         assert!(handler > origin, "{name} has no handler");
     }
-    // This proves that the check can fail: unused interrupts do lead to the default handler.
+    // This check can fail: unused interrupts do lead to the default handler.
     assert_eq!(image.word(origin + 4 * (16 + 28)).unwrap() & !1, default);
 }
 

@@ -31,7 +31,7 @@ fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
 const FORWARD_RAD: f64 = 0.5;
 
 /// Plays the bundled session on both boards, and compares the results with the session's expected values.
-/// The short run plays the complete session over one link, and only the first gestures over the others.
+/// In the short run, one link plays the complete session, and the others play only the first gestures.
 fn play_demo(link: Cable) {
     let whole = is_full() || link == Cable::Uart;
     let Demo { left, right, script } = Demo::bundled();
@@ -124,13 +124,14 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     from_sample_to_arm(Cable::Uart, if is_full() { 40 } else { 2 });
 }
 
-/// When packets pass is modelled: at 15 ms, the longest interval that the board asks for.
+/// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
 }
 
-/// Simulated wearers whom no model has seen draw gesture after gesture; each starts the arm of a rested robot.
+/// Simulated wearers, whose data no model was trained with, perform gestures one after another. Each gesture starts
+/// the arm of a robot at rest.
 fn from_sample_to_arm(link: Cable, wearers: u32) {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
@@ -144,7 +145,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
         let wearer = RightWearer::evaluation(11, index);
         let recording = session(&wearer, 0, &script);
         let mut start_s = 0.0;
-        // Another phase of hop and millisecond for each wearer, and another sensor clock.
+        // Each wearer gets a different phase of hop and millisecond, and a different sensor clock.
         let mut right = Right::start(link, |zero_s| {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
@@ -172,7 +173,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                     others.push(format!("{}: {label} for {meant}", wearer.name));
                 }
                 if matches!(outcome, GestureOutcome::Started(_)) {
-                    // The grid time of the last sample in the window, on the emulated clock.
+                    // Time of the last sample in the window on the grid, according to the emulated clock.
                     let number = (f64::from(*window_end_board_ms) / 10.0).round() as u64;
                     let tick = number * 32_768 / 100;
                     deciding = Some(right.board.clock_start() + tests::nrf::time::cycle_of_tick(tick));
@@ -183,7 +184,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                 && desk.arm_moves()
             {
                 let cycles = right.cycle_at(now_ms) - sample;
-                // The sensor measured the sample this long before its grid time (sensor/src/grid.rs).
+                // The sensor measured the sample this long before the sample's grid time (sensor/src/grid.rs).
                 let delay_ms = 1100.0 / 238.0;
                 to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
                 deciding = None;
@@ -219,7 +220,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
     assert!(*to_arm_ms.last().unwrap() <= 50.0);
 }
 
-/// The right hand makes to-fro strokes for 3 s in every 10 s, starting at 4 s.
+/// The right hand performs to-fro strokes for 3 s in every 10 s, starting at 4 s.
 fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     let mut script = vec![Segment::new(Motion::IDLE, 4.0)];
     for _ in 0..count {
@@ -230,7 +231,7 @@ fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     move |start| Replay { rows, interval: 0.01, start }
 }
 
-/// A desk whose left hand is controlled by the test.
+/// Creates a desk on which the test controls the left hand.
 struct Steered {
     desk: TwoHands,
     hand: Rc<RefCell<Hand>>,
@@ -252,7 +253,7 @@ impl Steered {
     fn both_move(&mut self) {
         self.tilt(0.0);
         self.desk.run_until("armed", 8000, TwoHands::is_armed);
-        // Half a second before the next stroke.
+        // The tilt begins half a second before the next stroke.
         let strokes_before = (self.desk.now_ms() + 500).saturating_sub(4000).div_ceil(10_000);
         self.desk.run_ms(3500 + 10_000 * strokes_before - self.desk.now_ms());
         self.tilt(FORWARD_RAD);
@@ -298,7 +299,7 @@ fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
 fn a_laptop_that_hears_nothing_more_over_bumbles_link_stops_base_and_arm() {
     let mut steered = Steered::new(Cable::Air, 1);
     steered.both_move();
-    // Out of reach: both ends wait for the supervision timeout, the robot does not.
+    // The board is out of range. Both sides of the link wait for the supervision timeout, but the robot does not.
     steered.desk.right.as_mut().unwrap().board.controller().in_range = false;
     say("right hand (bumble) out of reach", steered.halts(Which::Right));
     assert!(steered.desk.right.as_ref().unwrap().board.is_connected());
@@ -365,7 +366,8 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
     say("right board touched at 1200 baud", steered.halts(Which::Right));
 }
 
-/// Noise of a cable, per thousand: damaged bytes from a board, and milliseconds in which additional bytes appear.
+/// Noise of a cable, in parts per thousand: of the bytes from a board that are damaged, and of the milliseconds in
+/// which additional bytes appear.
 /// The lines to the boards are always half full of noise.
 fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
     Box::new(move |_, bytes| {
@@ -384,7 +386,7 @@ fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
 
 #[test]
 fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
-    // A damaged frame at an unfavourable moment costs a second of driving, and in eight seconds some driving remains.
+    // A damaged frame at an unfavourable moment stops driving for a second, so some driving remains in eight seconds.
     let seconds = if is_full() { 60 } else { 8 };
     let (mut nano, hand) = left_hand(33);
     nano.run_ms(600.0);

@@ -6,7 +6,7 @@
 //! | frames to the laptop (notify) | `b1a40002-…` |
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
-//! Frames form a byte stream in both directions, and the MTU determines its pieces.
+//! Frames form a byte stream in both directions, which is cut into pieces according to the MTU.
 //! This file contains what all Bluetooth stacks share. The feature `trouble` adds the stack that is linked into the image.
 //! This code is a separate crate, because the compiler optimises it for size: hardly any of it runs often.
 #![no_std]
@@ -19,7 +19,8 @@ use embassy_time::Duration;
 
 /// Maximum bytes of one notification or write: the largest MTU without its three bytes of header.
 pub const PAYLOAD: usize = 244;
-/// Connection intervals that the board requests in turn, in 1.25 ms: 7.5 to 15 ms, then 15 ms for systems that refuse less.
+/// Connection intervals that the board requests one after another, in units of 1.25 ms.
+/// It first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
 pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);

@@ -1,4 +1,4 @@
-//! `host-bridge arm`: what a robot on a ROS 2 graph says about its own arm becomes a scene, and a URDF that stands alone.
+//! `host-bridge arm`: writes a scene and a self-contained URDF from the description that a robot publishes on ROS 2.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -17,7 +17,7 @@ use super::ros2::look;
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// The scene: one that is there keeps its text, and its arm's description is fetched anew; else it is written
+    /// The scene file: an existing one keeps its text and gets a new description of the arm; otherwise it is created
     #[arg(value_name = "SCENE.toml")]
     scene: PathBuf,
     /// First link of the arm, if the scene is new (else the robot's first)
@@ -34,7 +34,7 @@ pub struct Args {
     config: Option<PathBuf>,
 }
 
-/// Looks at the graph, and writes what was found.
+/// Examines the graph, and writes the arm and the scene that it finds.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     let is_new = !args.scene.exists();

@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, CalibrationStep, HostMessage, health};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// Maximum time of a step, which takes 0.64 s plus the write to EEPROM.
+/// Maximum duration of a step, which consists of 0.64 s of measuring and the write to EEPROM.
 const STEP_MS: u64 = 8000;
 const ATTEMPTS: u32 = 3;
 

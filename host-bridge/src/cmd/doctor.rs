@@ -187,7 +187,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
                 heard.survey.restarted();
             }
             Some((_, Said::Closed(why))) => heard.closed = Some(why),
-            // The board may have restarted with another clock, as its hello will show.
+            // The board may have restarted with a new clock, which its hello message will show.
             Some((_, Said::Opened)) => {
                 heard.survey.restarted();
                 meet = true;
@@ -296,7 +296,7 @@ fn advice(heard: &Heard) -> Vec<String> {
     if heard.restarts > 0 {
         advice.push(format!("the board restarted {} times: check its power and cable", heard.restarts));
     }
-    // Wider than u8, because clippy notices that no minor version is below 0.
+    // This type is wider than u8, because clippy would complain that no minor version is below 0.
     if u16::from(heard.who.version.1) < u16::from(PROTOCOL_MINOR) {
         advice.push("the firmware is older than this program: flash it anew for all functions".to_owned());
     }

@@ -20,9 +20,9 @@ pub struct Args {
     /// Rows per second
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     fps: u32,
-    /// What counts as an episode: the whole session, each completed motion of the arm,
-    /// or the marks that the operator set
-    /// during the session [default: the marks, if there are any; otherwise the whole session]
+    /// What counts as an episode: the whole session, each completed motion of the arm, or the marks
+    /// that the operator set during the session
+    /// [default: the marks, if there are any; otherwise the whole session]
     #[arg(long, value_enum)]
     episodes: Option<Episodes>,
     /// Export only episodes that were marked as good
@@ -52,7 +52,7 @@ pub enum Episodes {
     Session,
     /// Each motion of the arm
     Motions,
-    /// What was marked
+    /// The episodes that the operator marked
     Marks,
 }
 

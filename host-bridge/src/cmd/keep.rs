@@ -21,12 +21,12 @@ pub struct KeepArgs {
     pub task: Option<String>,
 }
 
-/// What a session starts with.
+/// The initial conditions of a session.
 #[cfg_attr(not(feature = "mcap"), expect(dead_code, reason = "nobody writes it down"))]
 pub struct Start<'a> {
-    /// One line for people.
+    /// A one-line title for the user.
     pub title: &'a str,
-    /// Limits, times, base, arm, motions.
+    /// The configuration: limits, times, base, arm and motions.
     pub config: &'a host_bridge::config::Config,
     /// Additional `LABEL=MOTION` mappings.
     pub maps: &'a [String],
@@ -36,7 +36,7 @@ pub struct Start<'a> {
     pub origin: Origin,
     /// Whether a real robot moves, so that nothing may delay the session.
     pub live: bool,
-    /// Whether the robot is not the simulator.
+    /// Whether something other than the simulator is the robot.
     pub robot_elsewhere: bool,
 }
 
@@ -97,7 +97,7 @@ impl KeepArgs {
 
 #[cfg(feature = "mcap")]
 impl Keeper {
-    /// Returns once the reason why writing has stopped.
+    /// Returns the reason why writing has stopped, but only once.
     pub fn take_problem(&mut self) -> Option<String> {
         self.disk.as_mut()?.take_problem()
     }
@@ -119,12 +119,12 @@ impl Keeper {
 
 #[cfg(not(feature = "mcap"))]
 impl Keeper {
-    /// There is no file.
+    /// This build never writes a file.
     pub fn take_problem(&mut self) -> Option<String> {
         None
     }
 
-    /// There is no file.
+    /// This build never writes a file.
     pub fn end(&mut self, tap: &mut Tap) -> Option<String> {
         tap.clear();
         None

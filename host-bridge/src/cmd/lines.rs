@@ -1,4 +1,4 @@
-//! Additional lines of `run --json` besides the events.
+//! Lines that `run --json` prints in addition to the events.
 
 use host_bridge::ros2::Counts;
 use host_bridge::safety::Hand;

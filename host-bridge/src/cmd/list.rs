@@ -8,7 +8,7 @@ use host_bridge::talk::{Talk, TalkError, Who};
 
 /// Time for two attempts, because an old Nano takes 2 s to start.
 const PATIENCE_MS: u64 = 4500;
-/// Variable with additional ports, separated by colons.
+/// Environment variable that lists additional ports, separated by colons.
 /// Such ports include adapters that the system does not classify as USB, pseudo-terminals, and emulated boards.
 const MORE_PORTS: &str = "BIMANUAL_PORTS";
 

@@ -22,8 +22,8 @@ pub fn settings(config: &Config) -> SerialSettings {
     SerialSettings { baud, settle_ms, allow_unbonded }
 }
 
-/// Returns the port of a hand: the requested one, otherwise that of the configuration.
-/// With `left_handed`, the hands are exchanged there.
+/// Returns the port of a hand: the port that was requested, otherwise the port in the configuration.
+/// With `left_handed`, the hands of the configuration are exchanged.
 pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<String> {
     let left = (hand == Hand::Left) != config.left_handed;
     let port = asked.unwrap_or(if left { &config.ports.left } else { &config.ports.right });
@@ -45,12 +45,12 @@ pub fn check_name(port: &str) -> Result<()> {
     Ok(())
 }
 
-/// The remedy if this build has no Bluetooth.
+/// The advice for a build without Bluetooth.
 pub const NO_BLUETOOTH: &str = "this build has no Bluetooth link: `cargo install --path host-bridge --features ble` makes \
                                 one (Debian: it needs the packages libdbus-1-dev and pkg-config), and the packaged \
                                 archive has it";
 
-/// The only board that a command communicates with.
+/// The port of the only board with which a command communicates.
 #[derive(clap::Args, Clone, Debug)]
 pub struct PortOptions {
     /// The board's port, for example /dev/ttyACM0 or `ble[:NAME]`; `host-bridge list` lists all ports

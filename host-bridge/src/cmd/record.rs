@@ -1,5 +1,5 @@
 //! `host-bridge record`: records raw samples of one hand, or a session of both hands with the robot.
-//! Files of the right hand are for `models train` and Edge Impulse, and those of the left hand for `replay --left`.
+//! `models train` and Edge Impulse read the right hand's files, and `replay --left` reads the left hand's.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 const REQUEST_MS: u64 = 4000;
-/// Maximum time for returning the board to classifying. It is short because the program must end.
+/// Maximum time for returning the board to classifying. It is short, because the program is about to end.
 const BACK_MS: u64 = 700;
 /// If no samples arrive for this long, the board is not recording.
 const SILENCE_MS: u64 = 3000;
@@ -67,7 +67,7 @@ pub struct Args {
     out: Option<PathBuf>,
 }
 
-/// More than one hand.
+/// Recordings of both hands.
 #[derive(clap::Subcommand, Clone, Debug)]
 enum Whole {
     /// Record both hands together with the robot to FILE.mcap, like `run --record FILE.mcap`, with marks of episodes
@@ -188,14 +188,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A person's name, which is a part of files' names, too.
+/// A person's name, which is also part of file names.
 pub fn check_person(option: &str, name: &str) -> Result<()> {
     check_name(option, name)?;
     ensure!(!name.contains("__"), "{option}: two underscores end the name in a file; use one");
     Ok(())
 }
 
-/// Names become parts of paths.
+/// Names become parts of file paths.
 fn check_name(what: &str, name: &str) -> Result<()> {
     let plain = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
     ensure!(
@@ -205,14 +205,14 @@ fn check_name(what: &str, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// The recordings so far.
+/// The samples recorded so far.
 enum Taken {
     Right(Collector),
     Left(LeftCollector),
 }
 
 impl Taken {
-    /// Adds a message of this hand; `None` for other messages. Returns true if there are enough samples.
+    /// Processes a message. Returns whether there are enough samples, or `None` for messages without samples of this hand.
     fn push(&mut self, said: &Said) -> Option<Result<bool, CaptureProblem>> {
         match (self, said) {
             (Taken::Right(collector), Said::Raw(batch)) => Some(collector.push(batch)),
@@ -248,7 +248,7 @@ impl Taken {
 
     fn csv(self) -> String {
         match self {
-            // Edge Impulse's header, which our own tools also read.
+            // Writes the header that Edge Impulse expects, which our own tools also read.
             Taken::Right(collector) => {
                 collector.recording().to_csv().replacen("timestamp_ms", "timestamp", 1)
             }

@@ -32,9 +32,9 @@ pub struct Args {
     /// Int8 model for the right hand, with its card in the same folder [default: the bundled model, 9 axes]
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
-    /// Calibration of the left hand: a TOML file with zero, rest and bend,
-    /// or `start` for taking neutral and rest from the
-    /// first 1.6 s (hand level and still, fingers straight) [default: nominal parts]
+    /// Calibration of the left hand: a TOML file with zero, rest and bend, or `start` for taking neutral and rest
+    /// from the first 1.6 s (hand level and still, fingers straight)
+    /// [default: nominal parts]
     #[arg(long, value_name = "FILE.toml|start", requires = "left")]
     calibration: Option<PathBuf>,
     #[command(flatten)]
@@ -217,7 +217,7 @@ fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
     )
 }
 
-/// The left hand's board, and the notes of its file.
+/// The left hand's board, and notes about its recording.
 struct Left {
     board: LeftBoard,
     notes: Vec<String>,
@@ -250,9 +250,9 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Left> {
     Ok(Left { board, notes, span_ms })
 }
 
-/// Returns the delays of both hands relative to the session, from the first and last times of their recordings,
-/// with notes.
-/// Overlapping times are assumed to be from a common clock.
+/// Returns the delay of each hand relative to the session, calculated from the first and last times of the recordings,
+/// together with notes.
+/// If their times overlap, both recordings are assumed to use a common clock.
 fn aligned([left, right]: [[f64; 2]; 2]) -> ([u64; 2], Option<String>) {
     let late_ms = left[0] - right[0];
     if late_ms.abs() < 1.0 {

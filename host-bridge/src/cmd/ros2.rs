@@ -7,7 +7,7 @@ pub use on::look;
 #[cfg(feature = "ros2")]
 pub use on::{Graph, Output, doctor};
 
-/// Time for which the graph is served after a halt, so that zero speeds and cancellations arrive.
+/// After a halt, the graph is served for this long, so that zero speeds and cancellations arrive.
 pub const FAREWELL_MS: u64 = 300;
 
 #[cfg(feature = "ros2")]
@@ -33,19 +33,19 @@ mod on {
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
-    /// Duration of the search for other publishers before the simulator's state is published.
+    /// Duration of the search for other publishers, before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
     /// A description that is published once arrives within this time.
     #[cfg(feature = "urdf")]
     const LOOK: Duration = Duration::from_secs(8);
 
-    /// Seconds since 1970.
+    /// Current time in seconds since 1970.
     fn wall_s() -> f64 {
         SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
     }
 
-    /// What the graph says about the robot, before it is driven.
+    /// Information about the robot from the graph, read before the robot is driven.
     #[cfg(feature = "urdf")]
     pub fn look(config: &Ros2Config) -> Result<Found> {
         Ok(look::look(config, &connection(config)?, LOOK)?)
@@ -55,13 +55,13 @@ mod on {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
     }
 
-    /// The program on the graph: a robot, and additional topics.
+    /// The program's connection to the graph: a robot, and additional topics.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: RosDriver,
-        /// For the tap.
+        /// The observer for the tap.
         pub output: Output,
-        /// For the title.
+        /// Text for the title.
         pub about: String,
         /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
@@ -110,7 +110,7 @@ mod on {
         }
     }
 
-    /// Diagnostics, and the simulator's state if it is the robot.
+    /// Publishes diagnostics, and also the simulator's state if the simulator is the robot.
     pub struct Output {
         publisher: RosPublisher,
         diagnostics: Diagnostics,
@@ -137,7 +137,7 @@ mod on {
         }
     }
 
-    /// Examines the graph for some time with harmless requests. Returns whether there are no problems.
+    /// Examines the graph for some time with harmless requests. Returns whether it found no problems.
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
         let environment = RosEnvironment::read();
         let connection = match connection(config) {
@@ -147,7 +147,7 @@ mod on {
                 return Ok(false);
             }
         };
-        // The controller can be asked only by its action, whichever interface the arm uses.
+        // Only the controller's action can be queried, whichever interface the arm uses.
         let arm = match config.arm {
             ArmInterface::None => ArmInterface::None,
             _ => ArmInterface::Action,
@@ -188,7 +188,7 @@ mod on {
             advice.push("nobody else is in this domain".to_owned());
             advice.extend(nobody_on_zenoh(&connection));
         } else if graph.participants.is_empty() {
-            // Our own sockets would mislead, so they are closed first.
+            // Our own sockets would distort the result, so they are closed first.
             drop((node, publisher));
             let read = |file| std::fs::read_to_string(file).unwrap_or_default();
             let udp = read("/proc/net/udp") + &read("/proc/net/udp6");
@@ -230,27 +230,27 @@ mod off {
     pub struct Graph {
         /// The robot that is driven.
         pub driver: Box<dyn Robot + Send>,
-        /// For the tap.
+        /// The observer for the tap.
         pub output: Output,
-        /// For the title.
+        /// Text for the title.
         pub about: String,
         /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
     }
 
-    /// Nothing.
+    /// Does nothing without the feature.
     pub struct Output;
 
     impl Observer for Output {}
 
     impl Graph {
-        /// Says what is missing.
+        /// Reports that the feature is missing.
         pub fn open(_: &Ros2Config, _: JointLimits, _: BaseConfig, _: Option<&RobotSetting>) -> Result<Self> {
             bail!(MISSING)
         }
     }
 
-    /// Says what is missing.
+    /// Reports that the feature is missing.
     pub fn doctor(_: &Ros2Config, _: f64) -> Result<bool> {
         bail!(MISSING)
     }

@@ -1,4 +1,4 @@
-//! `host-bridge run`: boards (or keys that replace them) steer the robot.
+//! `host-bridge run`: the user steers the robot with boards, or with keys in their place.
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ use super::screen::{Held, SHOW, Screen, keys};
 use super::web::WebArgs;
 use crate::play::{check_motions, stage};
 
-/// Maximum braking time of an arm on a graph.
+/// Maximum braking time of an arm that is driven through a graph.
 const BRAKING_MAX_S: f64 = 1.0;
 
 /// Options.
@@ -45,7 +45,7 @@ pub struct Args {
     pub keep: KeepArgs,
 }
 
-/// The selection of hands and robot, also used by `record --session`.
+/// The options that select hands and robot, also used by `record --session`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct HandArgs {
     /// Port of the left hand's board (tilt and bends for the base), or `keyboard`
@@ -103,8 +103,8 @@ pub struct HandArgs {
     /// Where wearers' models and recordings are kept, a folder for each
     #[arg(long, value_name = "FOLDER", default_value = "wearers")]
     wearers: PathBuf,
-    /// The model to start from, if the right hand's board does not run the bundled one; its card, .float.tflite and
-    /// .memory.bin lie beside it
+    /// The model to start from, if the right hand's board does not run the bundled one;
+    /// its card, .float.tflite and .memory.bin lie beside it
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
     #[command(flatten)]
@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     steer(&args.hands, &args.keep)
 }
 
-/// Like [`run`], with a session file that another command selects.
+/// Like [`run`], but with a session file that another command has selected.
 pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
@@ -125,7 +125,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         config.ros2.stamped = Stamped::Fixed(false);
     }
     if args.publish_sim {
-        // In this case, the simulator's arm moves.
+        // In this case, the motion belongs to the simulator's arm.
         config.ros2.arm = ArmInterface::None;
     }
     for (asked, known) in [(&args.left, &mut config.ports.left), (&args.right, &mut config.ports.right)] {
@@ -206,7 +206,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
-    // Counts as busy until the control thread does.
+    // The session counts as busy until the control thread has reported its state.
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
@@ -357,7 +357,7 @@ pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
     Ok(braking_s)
 }
 
-/// The robot's arm has as many joints as the one that is planned for.
+/// Checks that the robot's arm has as many joints as the arm for which motions are planned.
 pub fn check_joints(config: &Config, stage: &Stage) -> Result<()> {
     let (name, joints) = stage.arm();
     let names = config.ros2.joint_names.len();

@@ -16,7 +16,7 @@ use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// Maximum time without progress, long enough for plugging in a cable again.
+/// Maximum time without progress, which is long enough for reconnecting a cable.
 const PATIENCE_MS: u64 = 60_000;
 
 /// Options.

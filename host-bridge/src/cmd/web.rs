@@ -1,4 +1,4 @@
-//! Options of the page and of Foxglove, used by all commands that move a robot.
+//! Options for the web page and Foxglove, used by all commands that move a robot.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read as _, Write as _};
@@ -24,18 +24,16 @@ pub struct WebArgs {
     #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
     foxglove_origin: Vec<String>,
     /// Let other machines use the page with its stop button, and Foxglove's port:
-    /// listen on this address (0.0.0.0 = all);
-    /// needs --web-token
+    /// listen on this address (0.0.0.0 = all); needs --web-token
     #[arg(long, value_name = "ADDR")]
     web_listen: Option<IpAddr>,
     /// Token that a page must send: at least 16 letters and digits.
-    /// Other users of this machine can read it in the list of
-    /// processes, so prefer --web-token-file or the variable BIMANUAL_WEB_TOKEN
+    /// Other users of this machine can read it in the list of processes,
+    /// so prefer --web-token-file or the variable BIMANUAL_WEB_TOKEN
     #[arg(long, value_name = "TOKEN", conflicts_with = "web_token_file")]
     web_token: Option<String>,
     /// File whose first line is the token, - for standard input.
-    /// The token is sent unencrypted, so outside your own network
-    /// forward the port over ssh instead
+    /// The token is sent unencrypted, so outside your own network forward the port over ssh instead
     #[arg(long, value_name = "FILE")]
     web_token_file: Option<PathBuf>,
 }
@@ -44,19 +42,19 @@ pub struct WebArgs {
 const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
-    /// Starts the server if it was requested. With `unasked`, it also starts otherwise if a port is free.
+    /// Starts the server if it was requested. With `unasked`, it starts without a request if a port is free.
     /// With `marks`, the pages can mark episodes.
     pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {
-            // The output may have no reader.
+            // Nobody may be reading the output.
             let _ = writeln!(
                 std::io::stderr(),
                 "--web-token shows the token to everybody on this machine who lists its processes: give it with \
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Access options also request the page, unless they are for Foxglove.
+        // Access options also imply the page, unless they belong to Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
@@ -78,7 +76,7 @@ impl WebArgs {
         Ok(WebOptions { address, port, token: self.token()? })
     }
 
-    /// Reads the token from the command line, a file, or the environment, once.
+    /// Reads the token once from the command line, a file, or the environment.
     fn token(&self) -> Result<Option<String>> {
         static READ: OnceLock<String> = OnceLock::new();
         let Some(file) = &self.web_token_file else {

@@ -1,4 +1,4 @@
-//! Writes episodes as CSV: `episode_000000.csv` … with a column per value, and `episodes.csv`.
+//! Writes episodes as CSV: `episode_000000.csv` and so on with one column per value, and `episodes.csv`.
 
 use std::fmt::Write as _;
 use std::path::Path;

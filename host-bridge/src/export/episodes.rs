@@ -12,9 +12,9 @@ pub enum Cut {
     /// One episode for each motion of the arm, from the gesture to its end.
     /// A motion that did not reach its pose must be repeated, so it is omitted.
     Motions,
-    /// The marks that the operator set during the session.
+    /// Episodes are defined by the marks that the operator set during the session.
     Marks {
-        /// Whether to select only good episodes, instead of all that ended.
+        /// Whether to select only good episodes instead of all completed ones.
         only_good: bool,
     },
     /// Gestures that are reserved for marking.
@@ -28,23 +28,23 @@ pub enum Cut {
     },
 }
 
-/// A part of a session.
+/// A part of a session that is exported.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Episode {
-    /// On the session's clock.
+    /// Start time on the session's clock.
     pub start_ms: u64,
-    /// Time on the session's clock, at least one frame later.
+    /// End time on the session's clock, at least one frame after the start.
     pub end_ms: u64,
     /// A description of the task.
     pub task: String,
 }
 
-/// Episodes, and reasons for omitted parts.
+/// Episodes, and the reasons why parts of the session were omitted.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// In order of time.
     pub episodes: Vec<Episode>,
-    /// When, and why.
+    /// The time and reason of each omission.
     pub left_out: Vec<(u64, String)>,
 }
 
@@ -111,7 +111,7 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     cutter.found
 }
 
-/// Returns the takes, as the program reported them to the operator during the session.
+/// Returns the episodes, in the words in which the program reported them to the operator during the session.
 fn takes(streams: &Streams, over_ms: u64) -> Vec<Take> {
     let mut tally = Tally::default();
     for (time_ms, happened) in &streams.events {

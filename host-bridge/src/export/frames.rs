@@ -1,4 +1,4 @@
-//! Rows at an even rate.
+//! Generates rows at a constant rate.
 
 use super::episodes::Episode;
 use super::session::Streams;
@@ -9,9 +9,9 @@ pub const HELD_MS: u64 = 100;
 /// Names of the columns: positions `.pos` in m and rad, speeds `.vel` in m/s and rad/s.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
-    /// Of `observation.state`.
+    /// Columns of `observation.state`.
     pub state: Vec<String>,
-    /// Of `action`.
+    /// Columns of `action`.
     pub action: Vec<String>,
 }
 
@@ -35,14 +35,14 @@ impl Columns {
 pub struct Rows {
     /// The task of the episode.
     pub task: String,
-    /// Position of base and joints, and motion of the base, one entry per row.
+    /// Positions of base and joints, and speeds of the base; one entry per row.
     pub state: Vec<Vec<f32>>,
-    /// Commanded speed of the base, and position of the joints one row later, one entry per row.
+    /// Commanded speed of the base, and the joint positions of the following row; one entry per row.
     /// (A session's file contains the arm's path, but not its set points.)
     pub action: Vec<Vec<f32>>,
 }
 
-/// Returns the newest entry at a time, if it is recent enough.
+/// Returns the newest entry at a given time, if it is recent enough.
 fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s T, String> {
     let behind = stream.partition_point(|(time, _)| *time as f64 <= time_ms);
     let found = behind.checked_sub(1).map(|at| &stream[at]);

@@ -2,8 +2,8 @@
 //! `meta/episodes/chunk-000/file-000.parquet` and `data/chunk-000/file-000.parquet`.
 //!
 //! Timestamps are `frame_index / fps`.
-//! The statistics of every feature (minimum, maximum, mean, standard deviation,
-//! count) are stored per episode and in total.
+//! The statistics (minimum, maximum, mean, standard deviation, count) of every feature
+//! are stored for each episode and for all episodes together.
 
 use std::path::Path;
 
@@ -92,7 +92,7 @@ fn pretty(value: &Value) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// All values of the data's rows.
+/// The values of all rows of the data.
 #[derive(Clone, Debug, Default)]
 struct Features {
     state: Vec<Vec<f32>>,

@@ -4,8 +4,8 @@
 //! FILE.mcap ─ session ─► streams over time ─ episodes ─► begun, ended ─ frames ─► rows at an even rate ─► csv, lerobot
 //! ```
 //!
-//! A row contains the newest message of each stream at its time, which must not be older than [`frames::HELD_MS`].
-//! An episode with older messages is refused and not interpolated.
+//! A row contains each stream's newest message at the row's time, at most [`frames::HELD_MS`] old.
+//! An episode with older messages is refused; nothing is interpolated.
 
 pub mod csv;
 pub mod episodes;

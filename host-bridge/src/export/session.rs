@@ -1,4 +1,4 @@
-//! The streams of a session file that an export needs.
+//! Reads the streams of a session file that an export needs.
 
 use std::collections::BTreeMap;
 
@@ -16,7 +16,7 @@ use crate::journal::records::records;
 /// The contents of a file, each stream sorted by time (ms since the session began).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Streams {
-    /// Title of the session.
+    /// Title of the recorded session.
     pub title: String,
     /// Description of the task, if `--task` was given.
     pub task: Option<String>,
@@ -24,9 +24,9 @@ pub struct Streams {
     pub joint_names: Vec<String>,
     /// Positions of the joints in rad (or m).
     pub joints: Vec<(u64, Vec<f64>)>,
-    /// Position and motion of the base: x and y in m, turn in rad, m/s, rad/s.
+    /// Position and motion of the base: x and y in m, turn in rad, speed in m/s, turn rate in rad/s.
     pub base: Vec<(u64, [f64; 5])>,
-    /// Commanded speed of the base: m/s, rad/s.
+    /// Commanded speed of the base: forward in m/s, turn rate in rad/s.
     pub asked: Vec<(u64, [f64; 2])>,
     /// The events with their times.
     pub events: Vec<(u64, Happened)>,
@@ -37,7 +37,7 @@ pub struct Streams {
 pub enum Happened {
     /// A gesture was performed, with the motion that it started, if any.
     Gesture(String, Option<String>),
-    /// A motion ended, at its pose or not.
+    /// A motion ended, either at its pose or before.
     MotionEnded(String, bool),
     /// The operator pressed stop on a keyboard or on the page.
     StopKey,
@@ -54,27 +54,27 @@ pub enum ExportError {
     /// A message does not match its type.
     #[error("{topic}, at {seconds:.3} s: the message cannot be read; the file is damaged")]
     Message {
-        /// Where.
+        /// The topic of the message.
         topic: &'static str,
-        /// When.
+        /// The time of the message.
         seconds: f64,
     },
-    /// A stream is not there.
+    /// A required stream is missing.
     #[error("the file has no messages of {0}, which an episode needs; record the session whole")]
     Missing(&'static str),
-    /// The joints change within the session.
+    /// The joints are not the same during the whole session.
     #[error("the joints change within the file, from {0} to {1}; export sessions of one robot")]
     Joints(String, String),
-    /// Files do not go together.
+    /// The given files cannot be combined.
     #[error("{0}")]
     Mixed(String),
-    /// Something cannot be written.
+    /// An output file cannot be written.
     #[error("{0}")]
     Write(String),
 }
 
 impl Streams {
-    /// Reads a file up to its end or to a damaged place.
+    /// Reads a file until its end or the first damaged place.
     ///
     /// # Errors
     /// [`ExportError`].
@@ -204,7 +204,7 @@ mod tests {
     use host_topics::cdr::encode;
     use host_topics::message::Header;
 
-    /// A file with a few messages of each stream.
+    /// Returns a file with a few messages of each stream.
     fn small() -> Vec<u8> {
         let mut bytes = std::io::Cursor::new(Vec::new());
         let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();

@@ -1,4 +1,4 @@
-//! Parquet files of a few kinds of columns.
+//! Writes Parquet files with a few kinds of columns.
 
 use std::fs::File;
 use std::path::Path;
@@ -15,7 +15,7 @@ use serde_json::json;
 
 use super::session::ExportError;
 
-/// A column. Lists must not be empty.
+/// One column of a table. Lists must not be empty.
 pub(super) enum Column {
     Int64(Vec<i64>),
     Float(Vec<f32>),
@@ -26,7 +26,7 @@ pub(super) enum Column {
     TextLists(Vec<Vec<String>>),
 }
 
-/// Metadata for pandas about a table with the text column `__index_level_0__` as its index.
+/// Metadata for pandas about a table whose index is the text column `__index_level_0__`.
 pub(super) fn pandas_index(column: &str) -> String {
     let index = "__index_level_0__";
     json!({
@@ -42,7 +42,7 @@ pub(super) fn pandas_index(column: &str) -> String {
     .to_string()
 }
 
-/// Writes a file with metadata `pandas`.
+/// Writes a file with the metadata `pandas`.
 pub(super) fn write_table(
     file: &Path,
     columns: &[(String, Column)],

@@ -1,6 +1,6 @@
-//! Sessions from disk (feature `mcap`): their start, and a replay with comparison.
+//! Sessions in files (feature `mcap`): their initial conditions, and a replay that compares results.
 //!
-//! * [`setup`]: the initial conditions of a session, as the file's metadata,
+//! * [`setup`]: the initial conditions of a session, stored as the file's metadata,
 //! * [`mod@replay`]: sends a file's bytes and keys through the engine;
 //!   every resulting message must equal that in the file.
 

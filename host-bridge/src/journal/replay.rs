@@ -1,4 +1,4 @@
-//! Sends a file's bytes and keys through a bridge and a robot again.
+//! Runs the bytes and keys of a file through a bridge and a robot again.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -22,29 +22,29 @@ use host_topics::bimanual::{Bytes, Operated, Refused, Turns};
 use host_topics::cdr::decode;
 use host_topics::{Entry, Origin, Topic};
 
-/// Maximum length of a step in ms, because a laptop may have slept.
+/// Maximum length of a step in ms; a step may be long because the laptop was suspended.
 const PAUSE_MS: u64 = 3_600_000;
 
 /// The result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replay {
-    /// Of the session.
+    /// The title of the session.
     pub title: String,
     /// Duration of the replayed session.
     pub seconds: f64,
     /// All events in order.
     pub events: Vec<BridgeEvent>,
-    /// Messages by topic.
+    /// Number of messages of each topic.
     pub messages: BTreeMap<&'static str, u64>,
     /// Number of messages that were recomputed and compared.
     pub compared: u64,
     /// Number of messages that differ.
     pub different: u64,
-    /// The first of these.
+    /// The first message that differs.
     pub first_difference: Option<String>,
-    /// Why the file ends early: it was still being written, or it is damaged.
+    /// The reason why the file ends early: it was still being written, or it is damaged.
     pub cut: Option<String>,
-    /// Number of numbered messages that another program has removed from the file.
+    /// Number of numbered messages that another program removed from the file.
     pub missing: u64,
     /// Topics that every session has, but that are missing in the file.
     pub absent: Vec<&'static str>,
@@ -78,17 +78,17 @@ pub enum ReplayError {
     /// A message does not match its type.
     #[error("{topic}, at {seconds:.3} s: the message cannot be read; the file is damaged")]
     Message {
-        /// Where.
+        /// The topic of the message.
         topic: &'static str,
-        /// When.
+        /// The time of the message.
         seconds: f64,
     },
 }
 
-/// Replays a file up to its end or to a damaged place.
+/// Replays a file until its end or the first damaged place.
 ///
 /// # Errors
-/// [`ReplayError`] if nothing can be replayed.
+/// Returns [`ReplayError`] if nothing can be replayed.
 pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let records = records(file)?;
     let mut topics = BTreeMap::new();
@@ -126,7 +126,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let player = player.ok_or(ReplayError::NoSetup)?;
     let mut result = player.end(cut);
     result.missing = numbers.missing();
-    // Every session contains these from its first moment.
+    // Every session contains these topics from its first moment.
     let always =
         [Topic::Turns, Topic::Hands, Topic::Twist, Topic::Joints, Topic::Odometry, Topic::Transforms];
     let names = always.into_iter().map(Topic::name);
@@ -134,7 +134,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     Ok(result)
 }
 
-/// The message numbers of the recording program, which count from 0 across all topics.
+/// The message numbers of the recording program, which count all topics together and start at 0.
 #[derive(Default)]
 struct Numbers {
     count: u64,
@@ -147,7 +147,7 @@ impl Numbers {
         self.largest = self.largest.max(number);
     }
 
-    /// Returns the number of missing messages. It is 0 if a program uses its own numbers, or none.
+    /// Returns the number of missing messages. It is 0 if a program uses its own numbering or none.
     fn missing(&self) -> u64 {
         (u64::from(self.largest) + 1).saturating_sub(self.count)
     }
@@ -166,7 +166,7 @@ struct Player {
     moved_ms: u64,
     /// Whether an external robot was driven, so that only the hands' messages are compared.
     elsewhere: bool,
-    /// Results of the last steps, which must be the next messages in the file.
+    /// Results of the most recent steps, which must be the next messages in the file.
     due: VecDeque<Entry>,
     now_ms: u64,
     result: Replay,
@@ -262,7 +262,7 @@ impl Player {
         match entry.topic {
             Topic::Turns => {
                 for turn in decode::<Turns>(&entry.data)?.turns {
-                    // A larger number is damaged, and stepping that far would never end.
+                    // A larger number is damaged, and a session of that length would never end.
                     let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
                     match turn.kind {
                         0 if turn.ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(turn.ms),
@@ -313,7 +313,7 @@ impl Player {
         }
     }
 
-    /// Informs the link about its requests and pings, on which the ages of states depend.
+    /// Informs the link about its requests and pings, because the ages of states depend on them.
     fn send(&mut self, hand: Hand, frame: &[u8], time_ms: u64) {
         let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
         let mut sent = None;
@@ -369,7 +369,7 @@ mod tests {
             let error = replay(bytes).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
         }
-        // A complete file of another program: magic, header, data end, footer, magic.
+        // This is a complete file of another program: magic, header, data end, footer, magic.
         let mut file = Vec::new();
         let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut file)).unwrap();
         writer.finish().unwrap();

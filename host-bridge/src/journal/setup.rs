@@ -1,4 +1,4 @@
-//! The initial conditions of a session, which suffice to start the same one again.
+//! The initial conditions of a session. They are complete, so the same session can be started again.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,12 +16,12 @@ use host_sim::Simulator;
 use crate::config::{Config, HandInput};
 use crate::robots::Stage;
 
-/// See the module.
+/// The initial conditions of a session, see the module documentation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Setup {
-    /// One line for people.
+    /// A one-line title for the user.
     pub title: String,
-    /// Limits, times, base, arm, motions.
+    /// The configuration: limits, times, base, arm and motions.
     pub config: Config,
     /// `LABEL=MOTION` mappings in the given order, applied after those of `config`.
     pub maps: Vec<String>,
@@ -31,13 +31,13 @@ pub struct Setup {
     pub origin_ns: u64,
     /// Whether an external robot was driven, whose motion cannot be recomputed.
     pub robot_elsewhere: bool,
-    /// Motions were planned beside the control thread: they begin where the file says so.
+    /// Whether motions were planned outside the control thread; if so, they begin at the times in the file.
     pub plans_aside: bool,
-    /// What was to be done, for those who train robots with it.
+    /// Description of the task, for training robots.
     pub task: Option<String>,
 }
 
-/// A scene with all files that it names.
+/// A scene with all files to which it refers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneText {
     /// The path of the scene file.
@@ -54,15 +54,15 @@ pub enum SetupError {
     /// A file cannot be read.
     #[error("{file}: {source}")]
     Read {
-        /// Which.
+        /// Path of the file.
         file: PathBuf,
-        /// Why.
+        /// Reason of the system.
         source: std::io::Error,
     },
     /// The scene cannot be used.
     #[error("{file}: {problem}")]
     Scene {
-        /// Which.
+        /// Path of the scene file.
         file: PathBuf,
         /// The problem and a remedy.
         problem: String,
@@ -76,7 +76,7 @@ impl SceneText {
     /// Reads a scene file and its arm.
     ///
     /// # Errors
-    /// [`SetupError`] if a file is missing or the scene is invalid.
+    /// Returns [`SetupError`] if a file is missing or the scene is invalid.
     pub fn read(file: &Path) -> Result<Self, SetupError> {
         let text = |file: &Path| {
             std::fs::read_to_string(file).map_err(|source| SetupError::Read { file: file.to_owned(), source })
@@ -92,7 +92,7 @@ impl SceneText {
         Ok(SceneText { file: file.to_owned(), toml, urdf })
     }
 
-    /// A planner for the scene.
+    /// Creates a planner for the scene.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
@@ -107,7 +107,7 @@ impl SceneText {
     }
 }
 
-/// Meshes are capsules in it: a session needs no other file.
+/// The description contains capsules instead of meshes, so a session needs no other file.
 #[cfg(feature = "urdf")]
 fn urdf_text(urdf: &Path, file: &Path, scene: &Scene) -> Result<String, String> {
     Ok(crate::arm_file::read(urdf, file, &scene.arm)?.text)
@@ -133,7 +133,7 @@ impl Setup {
     /// Returns the motions of all labels.
     ///
     /// # Errors
-    /// [`SetupError::Metadata`] for an invalid mapping.
+    /// Returns [`SetupError::Metadata`] for an invalid mapping.
     pub fn motion_map(&self) -> Result<MotionMap, SetupError> {
         let mut map = self.config.motion_map();
         for mapping in &self.maps {
@@ -145,7 +145,7 @@ impl Setup {
     /// Returns a bridge that waits for its hands.
     ///
     /// # Errors
-    /// This function has the errors of [`Setup::motion_map`].
+    /// Fails for the same reasons as [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         let bridge = self.config.bridge(self.motion_map()?);
         let inputs = self.config.inputs();
@@ -195,7 +195,7 @@ impl Setup {
         metadata
     }
 
-    /// From the file.
+    /// Reads the setup from a file's metadata.
     ///
     /// # Errors
     /// [`SetupError::Metadata`].

@@ -1,5 +1,5 @@
-//! What is kept of a wearer: `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`, and the model `FOLDER/NAME/NAME.tflite` with
-//! what belongs to it.
+//! The files of a wearer: `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`, and the model `FOLDER/NAME/NAME.tflite` with
+//! its accompanying files.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -13,20 +13,20 @@ use models::train::Adaptable;
 
 use super::{Offer, Settings, offer_to_show};
 
-/// Seconds that a wearer needs for one take, with the time to get ready.
+/// Seconds that a wearer needs for one recording, including the time to get ready.
 const TAKE_S: usize = 5;
 
 /// The wearer's files, and the model to start from.
 pub struct Kept {
     settings: Settings,
-    /// Read once.
+    /// The base model, which is read only once.
     base: Option<Result<Adaptable, String>>,
-    /// The folder of whoever gave no name, once there is one.
+    /// The folder of a wearer who gave no name, once it exists.
     guest: Option<String>,
 }
 
 impl Kept {
-    /// Nothing is read yet.
+    /// Creates the value; nothing is read yet.
     pub fn new(settings: Settings) -> Self {
         Kept { settings, base: None, guest: None }
     }
@@ -44,7 +44,7 @@ impl Kept {
         self.settings.folder.join(name)
     }
 
-    /// What the wearer can do whose board runs this model.
+    /// Returns the possible actions of the wearer if the board runs this model.
     pub(super) fn offer(&mut self, model_id: u32, labels: &[String]) -> Offer {
         let base = match self.base() {
             Ok(base) => base,
@@ -104,7 +104,7 @@ impl Kept {
         }
     }
 
-    /// Keeps what was shown, and learns all that this wearer has shown so far. The new model, or why there is none.
+    /// Saves the recordings and trains with all recordings of this wearer. Returns the model, or why there is none.
     pub(super) fn learn(&mut self, shown: &Shown) -> Result<Vec<u8>, String> {
         let name = match (&self.settings.name, &self.guest) {
             (Some(name), _) | (None, Some(name)) => name.clone(),
@@ -118,7 +118,7 @@ impl Kept {
                     recordings.display()
                 )
             })?;
-            // Edge Impulse's header; our own tools read both.
+            // The header of Edge Impulse, which our own tools read too.
             let text = recording.to_csv().replacen("timestamp_ms", "timestamp", 1);
             write_whole(&file, text.as_bytes()).map_err(|error| {
                 let _ = std::fs::remove_file(&file);
@@ -134,7 +134,7 @@ impl Kept {
         adapted.blob().map_err(|error| error.to_string())
     }
 
-    /// Whoever gave no name gets one, and a folder that nobody has.
+    /// A wearer who gave no name gets a generated name and an unused folder.
     fn new_guest(&mut self) -> Result<String, String> {
         let name = (1..u32::MAX).map(|n| format!("guest-{n}")).find(|name| !self.folder(name).exists());
         let name = name.ok_or("no free name for a guest; give one with --wearer")?;
@@ -143,10 +143,11 @@ impl Kept {
     }
 }
 
-/// Takes the first free number of a person's recordings: the file exists from now on, empty, so that nobody else takes it.
+/// Reserves the first free number among a person's recordings: it creates an empty file, so that no other program
+/// uses the number.
 ///
 /// # Errors
-/// The folder or the file cannot be made.
+/// Fails if the folder or the file cannot be created.
 pub fn next_file(folder: &Path, person: &str) -> std::io::Result<PathBuf> {
     std::fs::create_dir_all(folder)?;
     for n in 1..u32::MAX {

@@ -1,5 +1,5 @@
-//! The first minute: whoever wears the right hand shows each gesture three times, and the board gets a model that has
-//! learnt their hand.
+//! The first minute: the wearer of the right hand shows each gesture three times, and the board gets a model that was
+//! trained with these recordings.
 //!
 //! ```text
 //! key, page ─► Wearer ─ text, button ─► terminal, page, JSON
@@ -7,9 +7,9 @@
 //!                └─► a thread of its own: files, learning ─► kept in FOLDER/NAME
 //! ```
 //!
-//! The control thread asks at every turn and never waits: files and learning are the other thread's. What is shown
-//! moves nothing: the board sends samples then and no gestures, and the bridge ignores whatever gesture comes until the
-//! new model is on the board.
+//! The control thread polls this in every turn and never waits; the other thread reads files and trains. Gestures that
+//! are shown move nothing: the board sends samples instead of gestures, and the bridge ignores all gestures
+//! until the new model is on the board.
 
 mod kept;
 
@@ -27,43 +27,43 @@ use host_robot::Door;
 
 pub use kept::{Kept, next_file};
 
-/// Numbers of requests that one showing may use.
+/// Range of request numbers that one showing may use.
 const REQUESTS: u16 = 0x400;
-/// After the last gesture was shown, gestures have no effect for so long: it may still be in the board's window.
+/// Gestures have no effect for this long after the last one was shown, because it may still be in the board's window.
 const AFTER_MS: u64 = 3000;
-/// The other thread looks this often whether the session is over.
+/// Interval at which the other thread checks whether the session is over.
 const PATIENCE: Duration = Duration::from_secs(3600);
 const THREAD_ENDED: &str = "nothing can be learnt: a thread of this program has ended; start it again";
 
-/// Who wears the right hand, and where their models are kept.
+/// The wearer of the right hand, and the place where wearers' models are stored.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// The name that was given.
+    /// The name that the user gave.
     pub name: Option<String>,
-    /// A folder in it for each wearer.
+    /// The folder that contains a folder for each wearer.
     pub folder: PathBuf,
-    /// The model to start from; `None` = the bundled one.
+    /// The model to start from; `None` means the bundled one.
     pub model: Option<PathBuf>,
 }
 
-/// What the wearer can do now.
+/// The action that the wearer can take now.
 #[derive(Clone, Debug, PartialEq)]
 enum Offer {
-    /// Nothing is known yet.
+    /// No board has reported its model yet.
     Looking,
-    /// Show each of these gestures.
+    /// The wearer can show each of these gestures.
     Show { labels: Vec<String>, text: String },
-    /// Let the board have the model that was kept.
+    /// The board can get the wearer's stored model.
     Send { blob: Vec<u8>, text: String },
-    /// Nothing, for this reason.
+    /// No action is possible, for this reason.
     Cannot(String),
 }
 
-/// What the other thread is asked.
+/// A job for the other thread.
 enum Job {
-    /// The board runs this model: what can the wearer do?
+    /// Find out what the wearer can do with a board that runs this model.
     Look { model_id: u32, labels: Vec<String> },
-    /// Learn what was shown.
+    /// Train with the recordings that were shown.
     Learn(Shown),
 }
 
@@ -72,19 +72,19 @@ enum Answer {
     Learnt(Result<Vec<u8>, String>),
 }
 
-/// See the module.
+/// The wearer of the right hand during the first minute, see the module documentation.
 pub struct Wearer {
     jobs: SyncSender<Job>,
     answers: Receiver<Answer>,
     offer: Offer,
     showing: Option<Showing>,
-    /// How many there were.
+    /// Total number of recordings.
     showings: u16,
-    /// Jobs that the other thread has not answered.
+    /// Number of jobs that the other thread has not answered.
     unanswered: usize,
-    /// The board's start and model, as they were last looked at.
+    /// The board's start and model, as of the last check.
     board: Option<(u32, u32)>,
-    /// How the last showing ended.
+    /// The result of the last showing.
     result: Option<String>,
     told: String,
     held_until_ms: u64,
@@ -92,14 +92,14 @@ pub struct Wearer {
 }
 
 impl Wearer {
-    /// With a thread of its own that takes its time from `clock`.
+    /// Starts with a thread of its own, which uses the time of `clock`.
     ///
     /// # Errors
-    /// The system starts no thread.
+    /// Fails if the system cannot start a thread.
     pub fn start(settings: Settings, clock: &dyn Clock) -> std::io::Result<Self> {
         let (jobs, incoming) = sync_channel::<Job>(4);
         let (outgoing, answers) = sync_channel(4);
-        // At work while it reads and learns.
+        // Returns whether the other thread is reading or training.
         let waiter = clock.waiter();
         std::thread::Builder::new().name("wearer".to_owned()).spawn(move || {
             let mut kept = Kept::new(settings);
@@ -128,19 +128,19 @@ impl Wearer {
         })
     }
 
-    /// The key or the page's button: begin, or give up what is under way.
+    /// The key or the page's button was pressed: begins, or cancels the action in progress.
     pub fn press(&mut self) {
         self.pressed = true;
     }
 
-    /// Bytes of the right hand's board.
+    /// Processes bytes from the right hand's board.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64) {
         if let Some(showing) = &mut self.showing {
             showing.receive(bytes, now_ms);
         }
     }
 
-    /// Waits for the other thread. Only for those who hold the time themselves: the control thread never waits.
+    /// Waits for the other thread. Only tests with virtual time use this, because the control thread never waits.
     pub fn settle(&mut self, now_ms: u64) {
         while self.unanswered > 0
             && let Ok(answer) = self.answers.recv()
@@ -149,7 +149,7 @@ impl Wearer {
         }
     }
 
-    /// One turn of the control thread; `ready` says whether the board's link takes bytes.
+    /// Performs one turn of the control thread. `ready` says whether the board's link accepts bytes.
     pub fn turn<D: Door>(&mut self, engine: &mut Engine<'static, D>, ready: bool, now_ms: u64) {
         self.look(engine);
         self.answered(now_ms);
@@ -183,7 +183,7 @@ impl Wearer {
         engine.set_prompt(self.prompt());
     }
 
-    /// Whenever the board says that it runs another model, what can be done is looked up.
+    /// Whenever the board reports another model, the possible actions are determined again.
     fn look<D: Door>(&mut self, engine: &Engine<'static, D>) {
         let link = engine.bridge().link(Hand::Right);
         let (Some(identity), Some(model)) = (link.identity(), link.model()) else { return };
@@ -194,7 +194,7 @@ impl Wearer {
         let job = Job::Look { model_id: model.model_id, labels: model.labels.clone() };
         match self.jobs.try_send(job) {
             Ok(()) => (self.board, self.unanswered) = (Some(board), self.unanswered + 1),
-            // The thread has not come to it yet.
+            // The thread has not read the job yet.
             Err(TrySendError::Full(_)) => {}
             Err(TrySendError::Disconnected(_)) => {
                 self.offer = Offer::Cannot(THREAD_ENDED.to_owned());
@@ -213,7 +213,7 @@ impl Wearer {
         match (answer, &mut self.showing) {
             (Answer::Offer(offer), _) => self.offer = offer,
             (Answer::Learnt(blob), Some(showing)) => showing.learnt(blob, now_ms),
-            // Given up meanwhile: the model is kept, and offered when the board is looked at again.
+            // The action was cancelled meanwhile: the model is stored, and offered when the board is checked again.
             (Answer::Learnt(_), None) => self.board = None,
         }
     }
@@ -225,7 +225,7 @@ impl Wearer {
         }
         let Some(identity) = engine.bridge().link(Hand::Right).identity() else { return };
         if !engine.is_set_up(Hand::Right) {
-            // What a board is told at its start would end its record mode again.
+            // The commands that a board gets at its start would end its record mode.
             self.pressed = true;
             return;
         }
@@ -235,7 +235,7 @@ impl Wearer {
             Offer::Show { labels, .. } => {
                 Some(Showing::new(labels.clone(), sample_hz, boot_id, request, now_ms))
             }
-            // It was parsed when it was read.
+            // The model was parsed when it was read.
             Offer::Send { blob, .. } => {
                 Upload::new(blob, request).ok().map(|upload| Showing::sending(upload, boot_id, now_ms))
             }
@@ -247,7 +247,7 @@ impl Wearer {
         }
     }
 
-    /// What the wearer sees now.
+    /// Returns the text and button that the wearer sees now.
     fn prompt(&self) -> Option<Prompt> {
         if let Some(showing) = &self.showing {
             return Some(Prompt { text: showing.text(), button: showing.button() });
@@ -262,7 +262,7 @@ impl Wearer {
         Some(Prompt { text: format!("{result}{text}"), button })
     }
 
-    /// What changes is an event, but for the count of bytes.
+    /// Every change is an event, except for the count of bytes.
     fn tell<D: Door>(&mut self, engine: &mut Engine<'static, D>, now_ms: u64) {
         let Some(Prompt { text, .. }) = self.prompt() else { return };
         let plain = |text: &str| text.split(|c: char| c.is_ascii_digit()).next().map(str::to_owned);
@@ -274,7 +274,7 @@ impl Wearer {
     }
 }
 
-/// What a wearer is asked to do, in words: for those who show, and for those who have shown.
+/// Describes what the wearer must do: while showing gestures, and afterwards.
 fn offer_to_show(name: Option<&str>, labels: &[String], seconds: usize) -> String {
     let who = match name {
         Some(name) => format!("{name} has shown nothing yet"),

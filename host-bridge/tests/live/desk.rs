@@ -227,14 +227,14 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
     assert_eq!(read.recording.samples.len(), 150);
     for (n, (time_ms, counts)) in read.recording.samples.iter().enumerate() {
         assert_eq!(*time_ms, 10 * n as u64);
-        // The recording contains the conversions with eighths, on which the board bases its decisions.
-        // The last bit always varies.
+        // The recording contains conversions in eighths of a count, which the board also uses for its decisions.
+        // The last bit of a conversion always varies.
         let level = AdcCounts::from_ten_bit(FORWARD);
         assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
     }
     let (status, text) = run(&desk, &["replay", "--left", &file, "--speed", "0", "--headless"]);
     assert!(status.success() && text.contains("(0 damaged, 0 lost)"), "{text}");
-    // A guided session uses its own list of movements.
+    // A guided session of the left hand uses its own list of movements.
     let (status, text) =
         run(&desk, &["record", "--hand", "left", "--guided", "--person", "a__b", "--port", &port]);
     assert!(!status.success() && text.contains("underscores"), "{text}");
@@ -301,7 +301,7 @@ fn a_model_sent_through_cuts_and_restarts_runs_after_the_next_start() {
     assert!(status.success(), "{text}");
     assert!(text.contains(&format!("→ {id}")) && text.contains("next restart"), "{text}");
 
-    // Not before a restart.
+    // The new model takes effect only after a restart.
     let (_, text) = run(&desk, &["doctor", "--right", &right.port(), "--seconds", "1"]);
     assert!(!text.contains(&format!("model {id}")), "{text}");
     right.restart();

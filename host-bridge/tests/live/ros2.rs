@@ -58,7 +58,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
 
     let lateness = Lateness::watch();
-    // Tilt commands: checks the values and the time from the decision to the robot.
+    // Tilts the hand, and checks the commanded values and the time from the decision to the robot.
     let mut delays_ms = Vec::new();
     for _ in 0..10 {
         left.hold(FORWARD);
@@ -96,7 +96,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.catch_up();
     let before = robot.seen.iter().map(|(_, v)| gestures(v)).max().unwrap_or(0);
     let told = robot.wait("a new gesture", |v| started(v).is_some() && gestures(v) > before);
-    // The diagnostics and the goal are decided at the same time and may be published in either order.
+    // The diagnostics and the goal are decided at the same time, and either may be published first.
     let stamp_s = number(&told["stamp"]);
     let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
     // Another gesture may have moved the arm before.
@@ -137,7 +137,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // The board falls silent while the base drives.
+    // The board stops sending while the base drives.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     desk.pass(Duration::from_millis(500));
@@ -158,12 +158,12 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    // Goals that this fast arm reached early are also cancelled, because they might continue.
+    // This fast arm may report a goal as reached early; such goals are also cancelled, because they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
 
-    // The robot receives zero before the program ends.
+    // The robot receives a speed of zero before the program ends.
     bridge.interrupt();
     let (status, said, errors) = bridge.end();
     assert!(status.success(), "{errors}");
@@ -338,7 +338,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
     second.has("zero", |v| speed(v).is_some_and(|s| s == (0.0, 0.0)));
 }
 
-/// The base's speed according to the robot's controller.
+/// The speed of the base, as the robot's controller reports it.
 fn base_speed(value: &Value) -> Option<f64> {
     is(value, "base").then(|| number(&value["linear"]))
 }
@@ -370,7 +370,7 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
         let left = Double::left(&desk);
         let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", clock]);
         robot.has("ready", |v| is(v, "ready"));
-        // This is the default, but it is set here explicitly to override the stamps of the tests.
+        // This setting is the default. It is repeated here to override the tests' setting for stamps.
         // The program runs on the wall clock, because a signal stops it.
         let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &["--left", &left.port()]);
         bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
@@ -460,7 +460,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
             // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
-            // The newest report by that time counts, with a tolerance for the clocks of two programs.
+            // The newest report before that time counts, with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
@@ -512,7 +512,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     bridge.has("armed", armed);
     robot.has("no stop of the operator's", |v| is(v, "operator stop") && v["data"] == false);
 
-    // The e-stop while driving.
+    // The e-stop is pressed while the base drives.
     left.hold(FORWARD);
     robot.wait("forward", |v| base_speed(v) == Some(0.5));
     let (lateness, pressed_s) = (Lateness::watch(), wall_s());
@@ -539,7 +539,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     left.hold(BENT);
     robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
 
-    // The publisher of the e-stop has disappeared.
+    // The publisher of the e-stop has stopped running.
     button.order("quit");
     bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
 }
@@ -547,7 +547,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // Braking time at the paper's scaling, plus one cycle each of the controllers and their observer.
+    // The limit is the braking time at the paper's scaling, plus one cycle of the controllers and one of their observer.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
@@ -572,7 +572,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
             let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
-            // A busy machine may halt the robot meanwhile, and then both start again.
+            // A busy machine may halt the robot meanwhile, in which case both motions start again.
             loop {
                 drive_forward(&desk, &left, &mut robot);
                 let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
@@ -626,7 +626,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
         parameters.extend((value.len() as u16).to_le_bytes());
         parameters.extend(value);
     };
-    // UDPv4 address 127.0.0.1 with an unused port.
+    // This is the UDPv4 address 127.0.0.1 with an unused port.
     let mut locator = vec![1, 0, 0, 0];
     locator.extend(9_u32.to_le_bytes());
     locator.extend([0; 12]);
@@ -639,7 +639,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     put(0x32, &locator);
     put(0x02, &[100, 0, 0, 0, 0, 0, 0, 0]);
     put(0x01, &[]);
-    // The message is for any reader, from the participant writer, number 1, with little-endian parameters.
+    // The message is number 1 of the participant writer, for any reader, with little-endian parameters.
     let mut data = vec![0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0, 0];
     data.extend(parameters);
     let mut datagram = [&b"RTPS"[..], &[2, 3, 1, 16], &prefix].concat();
@@ -657,8 +657,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The DDS library uses about 650 bytes per participant,
-    // and mutated announcements can add a hundred more participants.
+    // The DDS library uses about 650 bytes per participant, and mutated announcements can add a hundred participants.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),
@@ -718,10 +717,10 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One incorrect setup and the expected report of `doctor`.
+/// One incorrect setup, and the report that `doctor` must print.
 struct Wrong {
     what: &'static str,
-    /// Options of each robot. An empty list means that there is no robot.
+    /// Options of each robot; an empty list means that there is no robot.
     robots: &'static [&'static [&'static str]],
     section: &'static str,
     environment: Option<(&'static str, &'static str)>,
@@ -808,7 +807,7 @@ fn doctor_tries_and_names_what_is_wrong() {
         let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         (output.status.success(), text.into_owned())
     };
-    // A correct setup, with the speed type of Jazzy's controller and that of Nav2.
+    // A correct setup, once with the speed type of Jazzy's controller and once with that of Nav2.
     for unstamped in [false, true] {
         let domain = domain();
         let options: &[&str] = if unstamped { &["--robot", "--action", "--unstamped"] } else { ROBOT };
@@ -876,7 +875,7 @@ fn net(words: &[&str]) {
     assert!(status.success(), "{words:?}");
 }
 
-/// A number from the environment, or the usual one.
+/// Reads a number from the environment, or returns the default.
 pub(super) fn number_of(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().map_or(usual, |text| text.parse().expect("a number"))
 }
@@ -941,7 +940,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         assert!(v["became"] == "dropped" || age_ms(v) <= 500.0, "{v}");
         assert!(v["became"] == "acted" || v["became"] == "dropped", "{v}");
     }
-    // One second after the end of the losses, all messages arrive again.
+    // One second after the losses have ended, all messages arrive again.
     let after: Vec<f64> =
         speeds.iter().map(|v| number(&v["t"])).filter(|t| (end_s + 1.0..end_s + 4.0).contains(t)).collect();
     let gap_ms = after.windows(2).map(|t| (t[1] - t[0]) * 1000.0).fold(0.0, f64::max);
@@ -1035,7 +1034,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
     assert!(sent > 40 * seconds * pairs, "{sent}");
 }
 
-/// Resident memory in MB and processor seconds so far.
+/// Returns the resident memory in MB and the processor seconds so far.
 pub(super) fn used(pid: u32) -> (f64, f64) {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -1047,7 +1046,7 @@ pub(super) fn used(pid: u32) -> (f64, f64) {
     (kb / 1024.0, (ticks(11) + ticks(12)) / 100.0)
 }
 
-/// Number of bytes and datagrams on the loopback interface of this network namespace so far.
+/// Returns the number of bytes and datagrams on the loopback interface of this network namespace so far.
 fn traffic() -> (f64, f64) {
     let table = std::fs::read_to_string("/proc/net/dev").unwrap_or_default();
     let line = table.lines().find_map(|line| line.trim().strip_prefix("lo:")).unwrap_or("");
@@ -1063,7 +1062,7 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     ) else {
         return;
     };
-    // Each middleware tests one gripper type, and with --full both types.
+    // For each middleware one gripper type is tested, and with --full both types.
     let kinds = ["command", "parallel"];
     let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
     for kind in kinds {
@@ -1078,19 +1077,20 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     }
 }
 
-/// A robot's gripper behind this kind of action: its joint goes from 0, open, to 0.08, shut; an object stops it at 0.03.
+/// A robot whose gripper uses this kind of action. The joint's positions are 0 (open), 0.08 (closed), and
+/// 0.03 (stopped by an object).
 pub(super) fn grips_with(kind: &str) -> [&str; 4] {
     ["--gripper", kind, "--blocked", "0.03"]
 }
 
-/// That gripper in `[ros2]`.
+/// The configuration of that gripper in `[ros2]`.
 pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
 
-/// Its gestures.
+/// The gestures that use the gripper.
 pub(super) const GRIP_MAPS: [&str; 6] =
     ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
 
-/// It closes on the object, opens, and is halted while it closes again.
+/// The gripper closes on the object, opens, and is halted while it closes again.
 pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Teller, bridge: &mut Teller) {
     let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
     let says = |words: &'static str| {
@@ -1098,10 +1098,10 @@ pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Tell
     };
     let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
-    // A stall on the object is success, and the distance of the fingers is reported: 5/8 of 85 mm.
+    // A stall on the object counts as success, and the distance of the fingers is reported: 5/8 of 85 mm.
     let asked = robot.has("it is asked to close", asks(0.08));
     println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
-    // Whatever the wearer's earlier gestures did: those of a program that was slow to start are not all seen.
+    // The wearer's earlier gestures are ignored, because a program that started slowly may have missed some.
     let then_s = number(&asked["t"]);
     let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
     println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
@@ -1114,7 +1114,7 @@ pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Tell
     robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
 
     println!("{kind}: open");
-    // A stop while it closes: cancelled, and nothing else is asked for.
+    // A stop while the gripper closes cancels the goal, and no other goal is sent.
     robot.wait("it closes again", asks(0.08));
     let bent_s = wall_s();
     left.hold(BENT);

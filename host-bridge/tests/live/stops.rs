@@ -2,11 +2,10 @@
 //! Each test is a row of the campaign (`cargo xtask campaign`).
 //!
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
-//! The operating system affects programs in wall-clock time (signals, terminals, floods, pauses).
+//! The operating system affects only programs in wall-clock time (by signals, terminals, floods, pauses).
 //! Most of these tests therefore also run in wall-clock time and wait for each expected result.
-//! Time limits are judged on a quiet machine ([`Lateness`]);
-//! a machine that is busy with other tests gets [`GRACE_MS`] more.
-//! The tests of recordings and of commands without a reader use a desk with simulated time.
+//! Time limits are judged on a quiet machine ([`Lateness`]); a busy machine gets [`GRACE_MS`] more.
+//! Two kinds of tests use a desk with simulated time: those of recordings, and those of commands without a reader.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -48,7 +47,7 @@ fn ms(time: Duration) -> u64 {
     time.as_millis() as u64
 }
 
-/// `run --json` with a simulated left hand.
+/// Starts `run --json` with a simulated left hand.
 struct Bridge {
     child: Child,
     lines: Arc<Mutex<Vec<(Instant, Value)>>>,
@@ -68,7 +67,7 @@ impl Bridge {
             .unwrap();
         drop(alone);
         let out = child.stdout.take().unwrap();
-        // The pipe is small, so that a reader that stops has an effect soon.
+        // The pipe is small, so that a reader that stops reading soon has an effect.
         let _ = rustix::pipe::fcntl_setpipe_size(out.as_fd(), 4096);
         let (lines, reads) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(true)));
         let (to, may) = (Arc::clone(&lines), Arc::clone(&reads));
@@ -210,16 +209,16 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
     row(lateness, "signals: the program is gone", count, worst, 1000);
 }
 
-/// The program on its own terminal, with the live view.
+/// The program on a terminal of its own, with the live view.
 struct OnTerminal {
     child: Child,
-    /// The other end of the terminal, which receives the screen output.
+    /// The test's side of the terminal, which receives the screen output.
     screen: File,
     /// Kept open so that the terminal's settings can be queried.
     terminal: File,
 }
 
-/// Returns a copy that no other program inherits, because an inherited copy would keep the terminal open.
+/// Returns a copy of the descriptor that no other program inherits, because otherwise the terminal would stay open.
 fn file(port: TTYPort) -> File {
     // Safety: the port gives up ownership of its descriptor.
     let port: OwnedFd = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
@@ -327,7 +326,7 @@ fn a_terminal_that_takes_no_output_delays_no_end() {
     let port = talker.port();
     let mut there = OnTerminal::start(&["run", "--left", &port, "--seconds", "60"], false);
     there.wait_for("\x1b[?1049h");
-    // From here on nobody reads, so the next frames of the view fill the terminal's buffer.
+    // From here on nobody reads, so the live view's output fills the terminal's buffer.
     std::thread::sleep(Duration::from_secs(3));
     signal(&there.child, "-TERM");
     let (took, _) = end_of(&mut there.child);
@@ -366,7 +365,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();
     let (mut worst, mut memory_mb) = (0, 0);
-    // Tests a page that was connected before, and one that connects afterwards.
+    // Tests one page that was connected before, and another that connects afterwards.
     for comes_late in [false, true] {
         let talker = Talker::start(folder.path());
         let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);
@@ -420,7 +419,7 @@ fn a_reader_of_json_that_stops_reading_delays_no_halt() {
     let (_, seen, line) = bridge.wait(from - 1, |line| line["heading"] == "forward");
     let program_ms = line["time_ms"].as_u64().unwrap();
     bridge.reads.store(false, Ordering::SeqCst);
-    // 60 changes of heading produce one line each, several times the capacity of the pipe.
+    // Each of 60 changes of heading produces a line; together they need several times the capacity of the pipe.
     for change in 0..60 {
         talker.point(if change % 2 == 0 { Heading::Left } else { Heading::Right });
         std::thread::sleep(Duration::from_millis(40));
@@ -500,7 +499,7 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
     for verb in &verbs {
         for sink in ["| true", "| head -c 1", "> /dev/full", "> /dev/full 2> /dev/full", ">&- 2>&-"] {
             let mut shell = Command::new("bash");
-            // This reports the exit code of the program instead of the exit code of the pipeline's last command.
+            // With this option, the exit code is that of the program instead of that of the pipeline's last command.
             shell.args(["-c", &format!("{PROGRAM} {verb} {sink}; exit ${{PIPESTATUS[0]}}")]);
             let (status, told) = desk.start(shell).end();
             assert!(status.code() != Some(101) && !told.contains("panicked"), "{verb} {sink}: {told}");
@@ -508,7 +507,7 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
         }
     }
     println!("row: output that nobody reads: no panic | {count} | 0 | 0");
-    // The recordings were saved nevertheless.
+    // The recordings were nevertheless saved.
     let saved = std::fs::read_dir(desk.path("recordings/circle")).unwrap().count();
     assert_eq!(saved, 5);
 }

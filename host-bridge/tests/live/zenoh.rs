@@ -1,5 +1,5 @@
-//! The same program over Zenoh: through a router with TLS and access control (docs/zenoh, as docs/sites.md has it) to an
-//! independent robot, `tests/ros2/zenoh_peer.py`. `cargo xtask test --full --only Zenoh` runs it.
+//! Tests the program over Zenoh: through a router with TLS and access control (files of docs/zenoh, as described in
+//! docs/sites.md) to an independent robot, `tests/ros2/zenoh_peer.py`. Run: `cargo xtask test --full --only Zenoh`.
 
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -15,12 +15,12 @@ use crate::lateness::Lateness;
 use crate::live::ros2::{GRIP_MAPS, GRIPS_CLOSED, closes_opens_and_halts, grips_with, number_of, used};
 use crate::program::Desk;
 
-/// How long the router stands still, by the wall clock.
+/// Duration for which the router is stopped, in wall-clock time.
 const STALL: Duration = Duration::from_secs(2);
-/// From the router's going on to zero at the robot: what waited, and TCP's own pauses.
+/// Maximum time from the router's continuation to zero speed at the robot, for waiting messages and TCP's pauses.
 const AFTER_STALL_MS: f64 = 1500.0;
 
-/// Certificates, and the files of docs/zenoh with their place in them.
+/// Creates certificates, and copies the files of docs/zenoh with the paths of these certificates.
 struct Router {
     teller: Teller,
     folder: String,
@@ -80,17 +80,17 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     let desk = desk("zenoh-1");
     let router = Router::start(&desk, &site.python);
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-    // One names what it attaches, as Jazzy does; later releases do not.
+    // One robot names its attachments, as Jazzy does; later releases do not.
     let options = ["--robot", "--action", "--odom", "--pace", "8", "--labelled"];
     let mut robot = router.robot(&desk, &site.python, "cell1-robot", &options);
-    // Another pair's certificate on this pair's topics.
+    // The certificate of another pair is used on this pair's topics.
     let mut stranger = router.robot(&desk, &site.python, "cell2-robot", &["--base-only"]);
     robot.order("flag /cell1/e_stop off");
     let section = router.section() + "arm = 'action'\nestop = 'e_stop'\n";
     let ports = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, 0, &section, &ports);
 
-    // Types, hashes and quality of service, as the other side reads them from the tokens.
+    // The other side reads types, hashes and quality of service from the tokens.
     for (topic, type_name) in [
         ("rt/cell1/cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_"),
         (
@@ -105,7 +105,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     }
     bridge.has("its reader", |v| says(v, "1 reader on /cell1/cmd_vel"));
     bridge.has("its server", |v| says(v, "goals go to an action server on Zenoh"));
-    // The e-stop's last word was said before the bridge came.
+    // The last e-stop message was sent before the bridge started.
     bridge.has("armed", armed);
     robot.catch_up();
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
@@ -125,7 +125,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     println!("Zenoh, TLS: tilt, decision to robot: median {middle_ms:.2} ms, worst {worst_ms:.2} ms of 20");
     assert!(!lateness.was_quiet() || middle_ms <= DECISION_MS);
 
-    // A gesture's goal, its feedback and its end.
+    // A gesture causes a goal, its feedback and its result.
     let goal = robot.wait("a goal", |v| is(v, "goal"));
     let finished = robot.has("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
     assert_eq!(finished["status"], 4);
@@ -142,7 +142,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     left.hold(LEVEL);
     bridge.wait("armed again", armed);
 
-    // A stop comes before the goal's answer does: its end is asked for until it is known.
+    // A stop comes before the reply to the goal, so the cancellation is repeated until the goal's end is known.
     robot.order("arm late");
     robot.wait("a goal that is not answered", |v| is(v, "goal") && v["mode"] == "late");
     left.hold(BENT);
@@ -153,7 +153,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     left.hold(LEVEL);
     bridge.wait("armed again", armed);
 
-    // Somebody else's e-stop.
+    // Another participant publishes an e-stop.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     robot.order("flag /cell1/e_stop on");
@@ -165,7 +165,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     robot.order("flag /cell1/e_stop off");
     bridge.wait("armed again", armed);
 
-    // The router stands still. The program halts all the same, at once, and says so when it can.
+    // The router is stopped. The program halts at once nevertheless, and sends the halt as soon as it can.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     robot.catch_up();
@@ -178,8 +178,8 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     let halted_ms = (bridge.seen[at].0 - pulled_s) * 1000.0;
     println!("the router stands still, a cable is pulled: halted after {halted_ms:.0} ms");
     assert!(!lateness.was_quiet() || halted_ms <= SILENCE_MS);
-    // The base's own timeout acts meanwhile.
-    // A busy machine may have let that happen already.
+    // Meanwhile, the base's own timeout stops the robot.
+    // On a busy machine, this may already have happened.
     robot.wait_from(stalled, "the base stops by itself", |v| is(v, "stopped"));
     desk.pass(STALL);
     robot.catch_up();
@@ -194,7 +194,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     left.plug();
     bridge.wait("armed again", armed);
 
-    // Killed: the base stops by itself.
+    // The program is killed, and the base stops by itself.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     bridge.signal("KILL");
@@ -228,7 +228,7 @@ fn a_gripper_and_an_arm_on_the_topic_obey_over_zenoh_as_over_dds() {
     let section = router.section() + GRIPS_CLOSED;
     let mut bridge = bridge(&desk, 0, &section, &[&ports[..], &GRIP_MAPS].concat());
     closes_opens_and_halts("parallel", &left, &mut robot, &mut bridge);
-    // The third gesture took the arm home, in pieces.
+    // The third gesture moved the arm home in several pieces.
     let pieces = || robot.seen.iter().filter(|(_, v)| is(v, "trajectory"));
     assert!(pieces().count() > 2);
     assert!(pieces().all(|(_, v)| v["refused"].is_null()), "each is one that the controller takes");
@@ -263,7 +263,7 @@ fn doctor_over_zenoh_tries_and_names_a_missing_router_and_a_certificate_of_anoth
     assert!(!well && text.contains("no Zenoh router can be reached"), "{text}");
 }
 
-/// A shell's words, which must work.
+/// Runs a shell command, which must succeed.
 fn net(words: &str) {
     let status = Command::new("sh").args(["-c", words]).status();
     assert!(status.is_ok_and(|status| status.success()), "{words}");
@@ -272,7 +272,7 @@ fn net(words: &str) {
 /// A pair of operator and robot.
 struct Pair {
     left: Double,
-    /// Makes gestures all the time; only with an arm.
+    /// The operator makes gestures all the time; used only with an arm.
     _right: Option<Double>,
     bridge: Teller,
     robot: Teller,
@@ -284,16 +284,16 @@ impl Pair {
     }
 }
 
-/// What all pairs sent and what arrived.
+/// Number of messages that all pairs sent, and number that arrived.
 #[derive(Default)]
 struct Sums {
-    /// Speeds.
+    /// Speed messages.
     sent: u64,
     replaced: u64,
     received: u64,
     late: u64,
     oldest_ms: f64,
-    /// Requests.
+    /// Action requests.
     goals: u64,
     withdrawn: u64,
     goals_received: u64,
@@ -305,7 +305,7 @@ struct Sums {
 }
 
 impl Sums {
-    /// Ends a pair, and counts.
+    /// Ends a pair and adds its counts.
     fn end(&mut self, pair: Pair) {
         let Pair { bridge, mut robot, .. } = pair;
         bridge.interrupt();
@@ -344,7 +344,7 @@ impl Sums {
     }
 }
 
-/// By then (`answer_ms`) the bridge has given up a goal of which it has heard nothing, and asks for its end.
+/// After `answer_ms` the bridge has given up a goal without a reply, and requests its cancellation.
 const GOAL_BOUND_MS: f64 = 1000.0;
 
 #[test]
@@ -356,7 +356,7 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
     let name = "twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_acted_on";
     let Some(site) = site_in("zenoh", name, true).filter(|site| site.has_own_network) else { return };
     let (pairs, seconds) = (number_of("BIMANUAL_PAIRS", 20), number_of("BIMANUAL_PAIRS_S", 60));
-    // So many of them have an arm that is asked by goals, and an operator who stops it in each stall.
+    // Number of pairs that have an arm with goals, and an operator who stops it during each stall.
     let arms = number_of("BIMANUAL_ARMS", 3).min(pairs);
     let desk = desk("zenoh-2");
     let write = |name: &str, text: &str| {
@@ -364,7 +364,7 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         std::fs::write(&path, text).unwrap();
         path
     };
-    // What docs/zenoh says of links that stand still; without TLS, whose cost the session's test has.
+    // Checks what docs/zenoh says about stalled links. It runs without TLS, which the session's test already covers.
     let rest = "scouting: { multicast: { enabled: false } }, transport: { link: { tx: { lease: 60000, queue: { \
                 congestion_control: { block: { wait_before_close: 60000000 } } } } } }";
     let listens = format!("{{ mode: 'router', listen: {{ endpoints: ['tcp/127.0.0.1:7447'] }}, {rest} }}");
@@ -389,7 +389,7 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         let mut ports = vec!["--left".to_owned(), left.port()];
         ports.extend(right_port.into_iter().flat_map(|port| ["--right".to_owned(), port]));
         let ports: Vec<&str> = ports.iter().map(String::as_str).collect();
-        // Its processor time is measured, so no test controls its clock.
+        // The program's processor time is measured, so the test does not control its clock.
         let bridge = bridge_on_its_own(&desk, 0, &section, &ports);
         all.push(Pair { left, _right: right, bridge, robot });
     }
@@ -407,13 +407,13 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         all.iter().filter(|pair| pair.has_arm()).for_each(|pair| pair.left.hold(pose));
     };
     all.iter().for_each(|pair| pair.left.hold(FORWARD));
-    // Every 5 s TCP stands still for 200 ms; in the middle a fifth of all packets is lost for 10 s.
+    // TCP is blocked for 200 ms every 5 s. In the middle, a fifth of all packets is lost for 10 s.
     let loses = "INPUT -i lo -p tcp -m statistic --mode random --probability 0.2 -j DROP";
     let (mut stalls, mut is_lossy, mut was_lossy) = (0, false, false);
     while start.elapsed().as_secs() < seconds {
         desk.pass(Duration::from_millis(3300));
         net("iptables -A INPUT -i lo -p tcp -j DROP");
-        // The operators stop their arms while nothing gets through.
+        // The operators stop their arms while no message gets through.
         with_arms(&all, BENT);
         desk.pass(Duration::from_millis(200));
         net("iptables -D INPUT -i lo -p tcp -j DROP");

@@ -22,9 +22,9 @@ use crate::desk::station::{Board, Station};
 
 /// Counts of a level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
-/// The same, 30° forward.
+/// The same hand, tilted 30° forward.
 pub const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
-/// Level, both fingers bent.
+/// A level hand with both fingers bent.
 pub const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 
 /// Scale of the LSM9DS1 on the right board.
@@ -34,7 +34,7 @@ const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 pub struct Double(Station<Machine>);
 
 impl Double {
-    /// A left hand at rest.
+    /// Creates a left hand at rest.
     pub fn left(desk: &Desk) -> Self {
         Self::left_named(desk, "left")
     }
@@ -63,7 +63,7 @@ impl Double {
         self.0.port()
     }
 
-    /// The cable is pulled.
+    /// Disconnects the cable.
     pub fn pull(&self) {
         self.0.pull();
     }
@@ -73,14 +73,14 @@ impl Double {
         self.0.plug();
     }
 
-    /// Reconnects the cable of a board with its own battery, which has kept running.
+    /// Reconnects the cable of a board that kept running on its own battery.
     pub fn plug_without_restart(&self) {
         self.0.with(|machine| machine.has_battery = true);
         self.0.plug();
         self.0.with(|machine| machine.has_battery = false);
     }
 
-    /// Resets the board without losing the port.
+    /// Resets the board while its port stays open.
     pub fn restart(&self) {
         self.0.restart();
     }
@@ -118,7 +118,7 @@ struct Machine {
     has_battery: bool,
     busy_until_ms: u64,
     incoming: VecDeque<u8>,
-    /// Data to send when the board is no longer busy.
+    /// Data that is sent when the board is no longer busy.
     later: Vec<u8>,
     wire: Vec<u8>,
 }
@@ -289,7 +289,7 @@ impl Hand for Right {
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
         let (store, mut busy_ms) = (&mut self.store, 0);
         self.board.receive(&[byte], now_ms, wire, |request, wire| {
-            // Flash is slow, and the tests need time to disconnect the cable.
+            // Writing flash takes long, and the tests need time to disconnect the cable.
             // Erasing four pages takes a third of a second.
             busy_ms += if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
             at_once(store.answer(request, async || (), &mut onto(wire)));

@@ -1,5 +1,5 @@
-//! A robot on the ROS 2 graph for tests: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS),
-//! the program under test, and their own network.
+//! A robot on the ROS 2 graph for tests: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS).
+//! The robot and the program under test share a network of their own.
 //!
 //! DDS and the robot use wall-clock time, and delays are measured in it.
 //! Boards and program share a time that is never faster than the wall clock and is slower on a busy machine.
@@ -23,7 +23,7 @@ use super::port::alone as starting;
 use super::program::Desk;
 use super::time::{Process, Time};
 
-/// Limit in wall-clock time, so that a hang cannot block the tests.
+/// Limit in wall-clock time, so that a test cannot hang forever.
 const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Lock for tests that measure time, so that they do not disturb each other.
@@ -38,7 +38,7 @@ pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Seconds since 1970, as in the robot's stamps.
+/// Returns the time in seconds since 1970, as in the robot's stamps.
 pub fn wall_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
@@ -53,7 +53,7 @@ pub fn domain() -> u32 {
 pub struct Teller {
     what: &'static str,
     time: Time,
-    /// The process.
+    /// The running process.
     pub process: Rc<Process>,
     orders: Option<ChildStdin>,
     lines: Receiver<(f64, Value)>,
@@ -229,12 +229,12 @@ pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller 
     start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
-/// Another program of `tests/ros2`.
+/// Starts another program of `tests/ros2`.
 pub fn teller(desk: &Desk, what: &'static str, python: &str, name: &str, options: &[&str]) -> Teller {
     start(what, desk.time(), script(python, name).args(options), Process::on_its_own)
 }
 
-/// A robot on Cyclone DDS beside one on Fast DDS; none if its Python is not named.
+/// Starts a robot on Cyclone DDS beside the one on Fast DDS. Returns `None` if no Python is configured for it.
 pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller> {
     let python = std::env::var("BIMANUAL_CYCLONE_PYTHON").ok()?;
     let mut command = script(&python, "peer.py");
@@ -283,17 +283,17 @@ fn bridge_command(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> 
     command
 }
 
-/// Whether a line reports this.
+/// Returns whether a line contains this report.
 pub fn is(value: &Value, event: &str) -> bool {
     value["event"] == event
 }
 
-/// A number, or not a number.
+/// Returns the number, or NaN if there is none.
 pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or(f64::NAN)
 }
 
-/// The twist that the robot adopted, in m/s and rad/s.
+/// Returns the speed that the robot applied, in m/s and rad/s.
 pub fn speed(value: &Value) -> Option<(f64, f64)> {
     is(value, "speed").then(|| (number(&value["linear"]), number(&value["angular"])))
 }
@@ -303,7 +303,7 @@ pub fn armed(value: &Value) -> bool {
     is(value, "state") && value["state"] == "armed"
 }
 
-/// Delay from a message's stamp to its arrival.
+/// Returns the delay between a message's stamp and its arrival.
 pub fn delay_ms(message: &Value) -> f64 {
     (number(&message["t"]) - number(&message["stamp"])) * 1000.0
 }
@@ -331,7 +331,7 @@ pub const SILENCE_MS: f64 = 350.0;
 /// Maximum median delay from the bridge's decision to the robot, in ms.
 pub const DECISION_MS: f64 = 10.0;
 
-/// Environment of a test on the graph.
+/// The environment of a test on the graph.
 pub struct Site {
     /// The Python interpreter with the robot's packages.
     pub python: String,
@@ -349,7 +349,7 @@ pub fn site(test: &str, measures: bool) -> Option<Site> {
     site_in("ros2", test, measures)
 }
 
-/// The same in another module of `live`.
+/// Returns the environment for a test in another module of `live`.
 pub fn site_in(module: &str, test: &str, measures: bool) -> Option<Site> {
     const INSIDE: &str = "BIMANUAL_OWN_NETWORK";
     let Ok(python) = std::env::var("BIMANUAL_ROS2_PYTHON") else {
@@ -365,7 +365,7 @@ pub fn site_in(module: &str, test: &str, measures: bool) -> Option<Site> {
         command.args(["-n", "sh", "-c", script]);
         command
     };
-    // As on a site's network, participants can find each other by multicast.
+    // Participants find each other by multicast, as on a real network.
     let up = "ip link set lo up && ip link set lo multicast on && ip route add 224.0.0.0/4 dev lo";
     let probe = unshare(&format!("{up} && iptables -L >/dev/null"))
         .stdout(Stdio::null())

@@ -13,7 +13,7 @@ pub struct Lateness(Arc<Mutex<Seen>>);
 
 #[derive(Clone, Default)]
 struct Seen {
-    /// Delays with which this machine woke a sleeping thread.
+    /// Delays with which this machine woke a sleeping thread up.
     late_ms: Vec<f64>,
     /// Share of all processors used at normal priority, in each tenth of a second.
     taken: Vec<f64>,
@@ -22,7 +22,7 @@ struct Seen {
 }
 
 impl Lateness {
-    /// Begins to look.
+    /// Starts the measurement.
     pub fn watch() -> Self {
         let seen = Arc::new(Mutex::new(Seen::default()));
         // The thread ends when this is dropped.
@@ -51,8 +51,8 @@ impl Lateness {
         Lateness(seen)
     }
 
-    /// Whether times measured meanwhile can be judged in a test that loads the processors itself: nine of ten sleeps
-    /// ended within 2 ms, and nine times of ten others left it half of the processors.
+    /// Returns whether times measured since the start can be judged in a test that itself loads the processors.
+    /// In nine of ten cases, a sleep must have ended within 2 ms, and other programs must have left half of the processors.
     pub fn had_room(&self) -> bool {
         at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
     }
@@ -66,9 +66,9 @@ impl Lateness {
         in_time
     }
 
-    /// Returns whether times measured meanwhile can be judged.
+    /// Returns whether times measured since the start can be judged.
     /// Nine of ten sleeps must have ended within 2 ms.
-    /// In nine tenths of a second out of ten, work at normal priority must have left some processor time.
+    /// In 90 % of the intervals of 0.1 s, work at normal priority must have left some processor time.
     /// The second condition is necessary because a mostly idle thread is woken in time even on a fully loaded machine.
     pub fn was_quiet(&self) -> bool {
         at_most(0.9, self.seen().taken, "work of ordinary priority takes") && self.woke_in_time()
@@ -88,7 +88,7 @@ fn at_most(limit: f64, shares: Vec<f64>, who: &str) -> bool {
     share <= limit
 }
 
-/// The 90th percentile, or 0 without values.
+/// Returns the 90th percentile, or 0 if there are no values.
 fn mostly(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() * 9 / 10).copied().unwrap_or(0.0)
@@ -97,9 +97,9 @@ fn mostly(mut values: Vec<f64>) -> f64 {
 /// Processor usage since the start of the machine, in ticks.
 #[derive(Clone, Copy)]
 struct Ticks {
-    /// Work of ordinary priority.
+    /// Processor usage at normal priority.
     ordinary: f64,
-    /// The part used by this test and its programs.
+    /// The part of this usage that belongs to the test and its programs.
     ours: f64,
     all: f64,
 }
@@ -111,17 +111,17 @@ impl Ticks {
         let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();
         // The fields are user, nice, system, idle, iowait, irq, softirq and steal.
         // Nice, idle and waiting time would have been available to this test.
-        // Steal is the work of another virtual machine and would not.
+        // Steal is time used by another virtual machine, so it would not have been available.
         let [user, _nice, system, _idle, _iowait, irq, softirq, steal] = *ticks.first_chunk()?;
         let ordinary = user + system + irq + softirq + steal;
         Some(Self { ordinary, ours: of_our_group(), all: ticks[..8].iter().sum() })
     }
 }
 
-/// Ticks of all processes in this test's process group, including ended ones.
+/// Returns the ticks of all processes in this test's process group, including those that have ended.
 fn of_our_group() -> f64 {
-    // The name may contain any character.
-    // The fields after it are: state, parent, group, ..., utime (12th), stime, and both times of ended children.
+    // The program's name may contain any character.
+    // The fields after the name are: state, parent, group, ..., utime (12th), stime, and both times of ended children.
     let fields = |process: &str| -> Vec<f64> {
         let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
         let numbers = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(1);

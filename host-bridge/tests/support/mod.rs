@@ -53,7 +53,7 @@ pub struct RightHand {
     pub events: u8,
     pub label: u8,
     pub event_window_end_ms: u32,
-    /// Label with the highest score.
+    /// The label with the highest score.
     pub top: u8,
     pub health: u8,
 }
@@ -77,7 +77,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// No hand connected.
+    /// Creates a rig without a connected hand.
     pub fn empty() -> Self {
         let neutral = LeftState { heading: Heading::Neutral, ..LeftState::default() };
         Rig {
@@ -175,7 +175,7 @@ impl Rig {
         }
     }
 
-    /// Advances the time. Talking hands send their state every 20 ms, and answering hands reply to pings.
+    /// Advances the time. Meanwhile, hands that talk send a state every 20 ms, and hands that answer reply to pings.
     pub fn run(&mut self, ms: u64) {
         for _ in 0..ms {
             self.answer_ping(Hand::Left);

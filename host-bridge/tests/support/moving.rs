@@ -15,13 +15,13 @@ use host_bridge::source::Source;
 /// The simulator as a robot of the engine.
 pub type Robot = Director<Simulator>;
 
-/// Nothing around.
+/// Creates the robot without surroundings.
 pub fn bare() -> Robot {
     let config = Config::default();
     Stage::new(&config, None).unwrap().simulated(&config)
 }
 
-/// In a scene.
+/// Creates the robot in a scene.
 pub fn in_scene(planner: Planner) -> Robot {
     let config = Config::default();
     Stage::new(&config, Some(planner)).unwrap().simulated(&config)
@@ -32,7 +32,7 @@ pub fn pose(name: &str) -> Joints {
     Motions::paper().pose(name).unwrap()
 }
 
-/// Functions of a robot that tests use.
+/// The functions of a robot that the tests use.
 pub trait Virtual {
     fn pass(&mut self, ms: u64);
     fn start(&mut self, motion: &str) -> Result<(), NotStarted>;

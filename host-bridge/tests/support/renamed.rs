@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use models::blob::{ModelFiles, model_id};
 use models::card::Card;
 
-/// The bundled model with one label renamed, which changes its blob and its id. Returns its file and the id.
+/// Renames one label of the bundled model, which changes its blob and its id. Returns the new file and the id.
 pub fn renamed_model(folder: &Path) -> (PathBuf, String) {
     let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-aligned.tflite");
     let bytes = std::fs::read(&bundled).unwrap();

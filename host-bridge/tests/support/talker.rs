@@ -1,7 +1,7 @@
 //! A simulated left board whose delays, silence and floods a test controls.
-//! Its individual messages are valid, and their content is set by the test.
-//! It uses wall-clock time, because the operating system's behaviour matters for programs that are stopped, flooded or
-//! without a reader.
+//! Each message is valid by itself, and the test sets its content.
+//! The board uses wall-clock time, because the operating system's behaviour matters for programs that are stopped,
+//! flooded or without a reader.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -26,11 +26,11 @@ const STATE_INTERVAL: Duration = Duration::from_millis(20);
 /// Additional data that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flood {
-    /// Zeros, as fast as the line accepts them.
+    /// The board sends zeros as fast as the line accepts them.
     Zeros,
-    /// The newest state repeatedly, in valid frames.
+    /// The newest state, sent repeatedly in valid frames.
     States,
-    /// Hellos of one board.
+    /// Repeated hello messages of one board.
     Hellos,
 }
 
@@ -39,7 +39,7 @@ pub enum Flood {
 pub struct Wish {
     pub heading: Heading,
     pub silent: bool,
-    /// Delay of all of the board's data.
+    /// Delay of all data that the board sends.
     pub delay: Duration,
     pub flood: Option<Flood>,
     over: bool,
@@ -62,7 +62,7 @@ impl Talker {
         let (board, laptop) = pair();
         // Safety: the port gives up ownership of its descriptor.
         let board = File::from(unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) });
-        // A board never waits for the reader.
+        // A board never waits for a reader of its data.
         rustix::io::ioctl_fionbio(&board, true).unwrap();
         let port = folder.join("talker");
         let _ = std::fs::remove_file(&port);
@@ -92,7 +92,7 @@ impl Talker {
         self.port.display().to_string()
     }
 
-    /// Changes what is wanted.
+    /// Changes the settings.
     pub fn set(&self, change: impl FnOnce(&mut Wish)) {
         change(&mut lock(&self.wish));
     }
@@ -101,7 +101,7 @@ impl Talker {
         self.set(|wish| wish.heading = heading);
     }
 
-    /// Time of the last sent state.
+    /// The time at which the last state was sent.
     pub fn last_state(&self) -> Instant {
         *lock(&self.said)
     }
@@ -118,13 +118,13 @@ impl Drop for Talker {
 
 struct Machine {
     board: File,
-    /// Kept open, so that the board's end remains valid while no program has the port open.
+    /// This is kept open, so that the board's side remains valid while no program has the port open.
     _laptop: TTYPort,
     wish: Arc<Mutex<Wish>>,
     said: Arc<Mutex<Instant>>,
     began: Instant,
     sequence: u16,
-    /// Bytes on their way to the laptop.
+    /// Bytes that have not reached the laptop yet.
     waiting: VecDeque<(Instant, Vec<u8>)>,
 }
 

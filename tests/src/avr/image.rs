@@ -1,4 +1,4 @@
-//! The image under test: exactly the file that `cargo xtask firmware avr` builds and users flash.
+//! The image under test is exactly the file that `cargo xtask firmware avr` builds and that users flash.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
@@ -31,20 +31,20 @@ pub fn static_end() -> usize {
     (symbol.address() & 0xFFFF) as usize
 }
 
-/// The address of `_exit`, where the C runtime ends in `cli` and an endless loop.
+/// The address of `_exit`, where the C runtime ends with `cli` and an endless loop.
 ///
 /// # Panics
-/// Panics like [`static_end`].
+/// Panics for the same reason as [`static_end`].
 pub fn stop_program() -> u32 {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");
     file.symbols().find(|s| s.name() == Ok("_exit")).expect("the C runtime has it").address() as u32
 }
 
-/// Flash and static RAM in bytes, according to the image's sections.
+/// Size of flash and of static RAM in bytes, according to the image's sections.
 ///
 /// # Panics
-/// Panics like [`static_end`].
+/// Panics for the same reason as [`static_end`].
 pub fn size() -> (u64, u64) {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");

@@ -1,8 +1,8 @@
-//! The emulated left board: simavr executes the users' image instruction by instruction.
+//! Emulates the left board: simavr executes the users' image instruction by instruction.
 //!
-//! - [`nano`] is the board: voltages in, serial bytes in and out, EEPROM, power cuts;
+//! - [`nano`] is the board: pin voltages, serial bytes in and out, EEPROM, power cuts;
 //! - [`image`] finds and builds the image and reads its size;
-//! - [`recorded`] plays a recording of a hand at the board's pins;
+//! - [`recorded`] applies a recording of a hand to the board's pins;
 //! - [`wearer`] is a hand with its sensors: poses, tremor, bends, and the data sheets' tolerances;
 //! - [`session`] is a wearer with a running board, for calibration, movement and decoded states.
 

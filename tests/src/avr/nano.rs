@@ -6,7 +6,7 @@
 //! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
 //! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
 //! Two errors are corrected here: simavr sleeps without SMCR.SE,
-//! and its interrupting watchdog never resets a program with disabled interrupts.
+//! In addition, its interrupting watchdog never resets a program that has disabled interrupts.
 
 mod callbacks;
 
@@ -21,13 +21,13 @@ use simavr_ffi as ffi;
 
 /// Clock of the Nano.
 pub const CYCLES_PER_MS: u64 = 16_000;
-/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr's receiver needs.
+/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr uses.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Cycles between two checks for events. After a reset, about as many are missing in the count.
+/// Number of cycles between two checks for events. After a reset, about this many are missing in the count.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
-/// Addresses of registers in data space.
+/// Addresses of registers in the data space.
 const ADMUX: u16 = 0x7C;
 const EECR: u16 = 0x3F;
 const SMCR: usize = 0x53;
@@ -57,40 +57,40 @@ impl<F: FnMut(u8, u64) -> PinInput> Voltages for F {
     }
 }
 
-/// A byte of EEPROM that the program has changed.
+/// A byte of EEPROM that the program has written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EepromWrite {
-    /// Where.
+    /// Address of the byte.
     pub address: u16,
-    /// What was there before.
+    /// The value before.
     pub old: u8,
-    /// What is there now.
+    /// The value afterwards.
     pub new: u8,
 }
 
 /// Data shared by simavr's callbacks and the board.
-/// It consists of cells, because callbacks run while the emulator runs, and never at the same time as our own code.
+/// The data is in cells, because callbacks run inside the emulator, and never at the same time as our own code.
 struct Wires {
     avr: *mut ffi::avr_t,
     voltages: RefCell<Box<dyn Voltages>>,
-    /// Voltage of the converter's capacitor in millivolts.
+    /// Voltage of the capacitor in the converter, in millivolts.
     held_mv: Cell<f64>,
     sent: RefCell<VecDeque<(u64, u8)>>,
     to_receive: RefCell<VecDeque<(u64, u8)>>,
     wrong_reference: Cell<Option<u8>>,
     eeprom: RefCell<Vec<u8>>,
     eeprom_writes: RefCell<Vec<EepromWrite>>,
-    /// Clocks counted before the last reset.
+    /// Clock cycles counted before the last reset.
     before_reset: Cell<u64>,
     conversions: Cell<u64>,
 }
 
 thread_local! {
-    /// Sleep cycles of the board on this thread (simavr's sleep callback has no parameter).
+    /// The number of sleep cycles of this thread's board (simavr's sleep callback has no parameter).
     static ASLEEP: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The board.
+/// The emulated board.
 pub struct Nano {
     avr: *mut ffi::avr_t,
     wires: Box<Wires>,
@@ -179,7 +179,7 @@ impl Nano {
     /// Runs until `cycle` cycles after power-on.
     ///
     /// # Panics
-    /// Panics if the program crashes, stops for ever, or selects a wrong reference for the converter.
+    /// Panics if the program crashes, stops permanently, or selects a wrong reference for the converter.
     pub fn run_until(&mut self, cycle: u64) {
         let mut last = self.cycle();
         let mut has_heartbeat = false;
@@ -187,7 +187,7 @@ impl Nano {
             // Safety: the board is alive, and the callbacks receive the boxed wires.
             let state = unsafe {
                 if !has_heartbeat {
-                    // Wakes a sleeping program in time.
+                    // A sleeping program must be woken in time.
                     ffi::avr_cycle_timer_register(self.avr, cycle - last, Some(on_heartbeat), null_mut());
                     (*self.avr).run_cycle_limit = CYCLES_AT_ONCE;
                     has_heartbeat = true;
@@ -219,13 +219,13 @@ impl Nano {
         }
     }
 
-    /// Runs for a while.
+    /// Runs for some time.
     pub fn run_ms(&mut self, ms: f64) {
         self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
     }
 
-    /// If the watchdog's interrupt is not handled before the next time-out, that time-out resets the chip.
-    /// See the data sheet, "Interrupt and System Reset Mode".
+    /// If the watchdog's interrupt is not handled before the next time-out, that time-out resets the chip
+    /// ("Interrupt and System Reset Mode" in the data sheet).
     fn watchdog_interrupt_must_not_wait(&mut self) {
         const WDIF: u8 = 1 << 7;
         const WDIE: u8 = 1 << 6;
@@ -246,7 +246,7 @@ impl Nano {
     fn pass_optiboot(&mut self) {
         if self.optiboot {
             self.poke(MCUSR, 0);
-            // Its stack.
+            // The stack of the bootloader.
             for address in RAM.end - 8..RAM.end {
                 self.poke(address, 0x0B);
             }
@@ -274,7 +274,7 @@ impl Nano {
         self.resets
     }
 
-    /// Conversions so far.
+    /// Number of conversions so far.
     pub fn conversions(&self) -> u64 {
         self.wires.conversions.get()
     }
@@ -343,27 +343,27 @@ impl Nano {
     /// Writes bytes to the start of the old bootloader, so that the program detects one.
     pub fn pretend_old_bootloader(&mut self) {
         const OLD_BOOTLOADER: usize = 0x7800;
-        // Safety: within the 32 KB of flash.
+        // Safety: the write is within the 32 KB of flash.
         unsafe { *(*self.avr).flash.add(OLD_BOOTLOADER) = 0x0C }
     }
 
-    /// Is the light (D13) on?
+    /// Returns whether the light (D13) is on.
     pub fn light(&self) -> bool {
         const PORTB: usize = 0x25;
         self.peek(PORTB) & (1 << 5) != 0
     }
 
-    /// Reads data space: registers and RAM.
+    /// Reads the data space, which contains registers and RAM.
     pub fn peek(&self, address: usize) -> u8 {
         assert!(address < RAM.end);
-        // Safety: within data space.
+        // Safety: the access is within data space.
         unsafe { *(*self.avr).data.add(address) }
     }
 
-    /// Writes data space without the program's knowledge.
+    /// Writes the data space without the program's knowledge.
     pub fn poke(&mut self, address: usize, value: u8) {
         assert!(address < RAM.end);
-        // Safety: within data space.
+        // Safety: the access is within data space.
         unsafe { *(*self.avr).data.add(address) = value }
     }
 
@@ -376,12 +376,12 @@ impl Nano {
         }
     }
 
-    /// Makes the board execute `sts address, value` and then nothing more, like a program with an error.
+    /// Makes the board execute `sts address, value` and then nothing else, as a program with an error might do.
     pub fn execute_sts(&mut self, address: u16, value: u8) {
         const UNUSED_FLASH: usize = 0x7000;
         const R16: usize = 16;
         let [low, high] = address.to_le_bytes();
-        // `sts address, r16` and `rjmp .-2`.
+        // The code is `sts address, r16` and `rjmp .-2`.
         let code = [0x00, 0x93, low, high, 0xFF, 0xCF];
         for (i, byte) in code.into_iter().enumerate() {
             // Safety: the address is within the 32 KB of flash.
@@ -391,7 +391,7 @@ impl Nano {
         self.jump(UNUSED_FLASH as u32);
     }
 
-    /// The whole EEPROM.
+    /// Returns the content of the whole EEPROM.
     pub fn eeprom(&self) -> [u8; EEPROM_BYTES] {
         let mut bytes = [0; EEPROM_BYTES];
         let mut what =
@@ -410,7 +410,7 @@ impl Nano {
         assert_eq!(result, 0);
     }
 
-    /// Bytes written to EEPROM since power-on, in order.
+    /// Returns all writes to EEPROM since power-on, in order.
     pub fn eeprom_writes(&self) -> Vec<EepromWrite> {
         self.wires.eeprom_writes.borrow().clone()
     }
@@ -420,7 +420,7 @@ impl Nano {
         self.wires.eeprom_writes.borrow().len()
     }
 
-    /// Number of bytes of RAM from `from` on that still contain `paint`.
+    /// Returns the number of bytes of RAM from `from` on that still contain `paint`.
     pub fn painted(&self, from: usize, paint: u8) -> usize {
         (from..RAM.end).take_while(|&address| self.peek(address) == paint).count()
     }

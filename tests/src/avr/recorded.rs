@@ -1,4 +1,4 @@
-//! A recording of the left hand at the emulated board's pins, which converts counts back to voltages.
+//! Applies a recording of the left hand to the emulated board's pins. Counts are converted back to voltages.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -21,7 +21,7 @@ fn millivolts(counts: f64) -> f64 {
     (counts + 0.5) / 1024.0 * SUPPLY_MV
 }
 
-/// Samples of all five channels at 100 Hz, connected by straight lines. The first and last values are held.
+/// Samples of all five channels at 100 Hz, interpolated linearly. The first and last values are held.
 pub struct Recorded {
     samples: Vec<[u16; 5]>,
     start_cycle: u64,

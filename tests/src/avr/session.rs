@@ -9,7 +9,7 @@ use shared_proto::message::{
 
 use super::nano::{CYCLES_PER_MS, EEPROM_BYTES, Nano, Voltages};
 
-/// An EEPROM that was never written.
+/// The content of an EEPROM that was never written.
 pub const BLANK: [u8; EEPROM_BYTES] = [0xFF; EEPROM_BYTES];
 
 /// A decoded message without borrowed parts.
@@ -17,23 +17,23 @@ pub const BLANK: [u8; EEPROM_BYTES] = [0xFF; EEPROM_BYTES];
 pub enum Seen {
     /// Boot id and firmware version.
     Hello(u32, String),
-    /// The hand.
+    /// A state of the hand.
     Left(LeftState),
     /// A sample, in record mode.
     Raw(RawAdc),
-    /// Counters.
+    /// The counters of the board.
     Status(Status),
-    /// Trouble.
+    /// A fault report.
     Fault(Fault),
-    /// An answer.
+    /// A reply to a request.
     Ack(Ack),
-    /// The id of a ping.
+    /// A reply to a ping, with its id.
     Pong(u32),
 }
 
 /// A board with all messages that the laptop receives from it.
 pub struct LeftRig {
-    /// The board.
+    /// The emulated board.
     pub nano: Nano,
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// Number of bytes sent so far.
@@ -61,7 +61,7 @@ impl LeftRig {
     /// Returns all messages since the last call.
     ///
     /// # Panics
-    /// Panics if the board sends anything other than intact frames, because this line has no errors.
+    /// Panics if the board sends anything other than intact frames, because this line causes no errors.
     pub fn heard(&mut self) -> Vec<(f64, Seen)> {
         let mut seen = Vec::new();
         while let Some((cycle, byte)) = self.nano.sent() {

@@ -1,4 +1,4 @@
-//! The complete chain: voltages → emulated board → serial bytes → bridge → simulated base, in steps of 1 ms.
+//! The complete chain in steps of 1 ms: voltages → emulated board → serial bytes → bridge → simulated base.
 
 use host_bridge::arm::Director;
 use host_bridge::bridge::Bridge;
@@ -13,13 +13,13 @@ use shared_proto::message::HostMessage;
 
 use super::nano::{CYCLES_PER_MS, Nano};
 
-/// The board with bridge and robot.
+/// The board, connected to bridge and robot.
 pub struct Street {
-    /// The board.
+    /// The emulated board.
     pub nano: Nano,
-    /// The laptop.
+    /// The laptop's bridge.
     pub bridge: Bridge,
-    /// The robot.
+    /// The simulated robot.
     pub robot: Director<Simulator>,
     now_ms: u64,
 }
@@ -64,14 +64,14 @@ impl Street {
         self.nano.send(frame);
     }
 
-    /// A while.
+    /// Runs for some time.
     pub fn run_ms(&mut self, ms: u64) {
         for _ in 0..ms {
             self.step();
         }
     }
 
-    /// Does any wheel turn?
+    /// Returns whether any wheel turns.
     pub fn moves(&self) -> bool {
         self.robot.robot().wheels_rad_s() != [0.0; 2]
     }

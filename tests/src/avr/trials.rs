@@ -13,12 +13,12 @@ use super::image;
 use super::session::{BLANK, LeftRig, Seen};
 use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 
-/// The selection of a wearer's sensors and neutral pose.
+/// How a wearer's sensors and neutral pose are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Parts {
-    /// Uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
+    /// They are drawn uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
     Drawn,
-    /// The worst case that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
+    /// They are the worst case, in which every tilt looks largest: sensitivity + 10 %, neutral 10° off level.
     Loudest,
 }
 
@@ -27,20 +27,20 @@ pub enum Parts {
 pub struct Job {
     /// Seed of all random values.
     pub seed: u64,
-    /// The selection of the parts.
+    /// How the parts are chosen.
     pub parts: Parts,
     /// Number of trials (tilts per direction, or bends per finger), or seconds of tremor.
     pub count: u32,
 }
 
-/// Maximum time from the start of a movement of up to 220 ms.
-/// It includes a tolerance of 80 ms, and 130 ms for distinguishing an intended tilt from a swing.
+/// Maximum time, counted from the start of a movement that lasts up to 220 ms.
+/// The maximum time includes a tolerance of 80 ms, and 130 ms for distinguishing an intended tilt from a swing.
 pub const IN_TIME_MS: f64 = 430.0;
 
 /// The results of one wearer's tilts.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Tilts {
-    /// Trials.
+    /// Number of trials.
     pub trials: u32,
     /// Number of tilts that gave the correct command within [`IN_TIME_MS`], and no other within 2 s.
     pub right: u32,
@@ -55,7 +55,7 @@ pub struct Tilts {
 /// The results of the tilts in one direction.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Direction {
-    /// Number of times each command came first, in the order of [`DIRECTIONS`]; the last one is "none".
+    /// Number of trials in which each command came first, in the order of [`DIRECTIONS`]; the last entry is "none".
     pub first: [u32; 5],
     /// Time from the start of the movement to the command's frame in ms, for correct tilts.
     pub latencies_ms: Vec<f64>,
@@ -77,15 +77,15 @@ pub struct BendCounts {
 /// The results of a session with tremor or tilts only.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Quiet {
-    /// States with a command.
+    /// Number of states with a command.
     pub commands: u32,
-    /// Bends counted.
+    /// Number of counted bends.
     pub bends: u32,
-    /// Healthy states seen.
+    /// Number of healthy states.
     pub states: u32,
 }
 
-/// A calibrated wearer at neutral.
+/// Creates a calibrated wearer in the neutral pose.
 fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<RefCell<Hand>>, Rng) {
     let mut rng = Rng::with_seed(job.seed);
     let (sensors, off_level) = match job.parts {
@@ -117,7 +117,7 @@ fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<Ref
         hand.borrow_mut().bend(finger, 0.0, now_s, 0.2);
     }
     session.run_ms(1000.0);
-    // The tremor of the trials, with the same sensors.
+    // Creates the trials' tremor with the same sensors.
     let tremor = Tremor::drawn(&mut rng, tremor_deg.to_radians(), hz);
     let (wearer, hand) = Wearer::new(sensors, off_level, Some(tremor), rng.fork());
     session.nano.set_voltages(Box::new(wearer));
@@ -125,7 +125,7 @@ fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<Ref
     (session, hand, rng)
 }
 
-/// The commands of a tilt.
+/// Returns the commands that a tilt causes.
 pub const DIRECTIONS: [Heading; 4] = [Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
 
 fn opposite(heading: Heading) -> Heading {
@@ -200,7 +200,7 @@ pub fn tilting(job: Job) -> Quiet {
         let (pitch, roll) = (angle(), angle());
         let lasts_s = uniform(&mut rng, 0.1..0.5);
         hand.borrow_mut().tilt(pitch, roll, session.now_ms() / 1000.0, lasts_s);
-        // Straight fingers move slightly with the hand: up to 12 % of a bend.
+        // Straight fingers move slightly with the hand, by up to 12 % of a bend.
         for finger in 0..2 {
             let depth = uniform(&mut rng, -0.05..0.12);
             hand.borrow_mut().bend(finger, depth, session.now_ms() / 1000.0, lasts_s);
@@ -229,7 +229,7 @@ pub fn bends(job: Job) -> BendCounts {
     let mut before = [0u8; 2];
     for finger in order {
         let mut draw = |range| uniform(&mut rng, range);
-        // The calibrated bend is 1, and the other finger moves too by up to 15 %, as real fingers do.
+        // A calibrated bend is 1. The other finger also moves by up to 15 %, as real fingers do.
         let (depth, along) = (draw(0.6..1.2), draw(0.0..0.15));
         let (closes_s, held_s, opens_s, rest_s) =
             (draw(0.06..0.4), draw(0.03..0.8), draw(0.06..0.4), draw(0.12..0.5));
@@ -259,7 +259,8 @@ pub fn bends(job: Job) -> BendCounts {
     result
 }
 
-/// Returns the unused bytes of RAM after static memory, which the program painted at start, and the deepest stack.
+/// Returns two stack sizes in bytes: the RAM that was never used, and the deepest stack. The program fills the RAM
+/// with a pattern at its start.
 /// The session contains all requests, a flood, faults and a calibration.
 pub fn stack() -> (usize, usize) {
     const PAINT: u8 = 0xC5; // of `firmware-nano-avr/src/stack.rs`

@@ -1,9 +1,9 @@
 //! A hand with its sensors: converts poses and bends over time to voltages at five pins.
 //!
-//! The tolerances are from the data sheets: an ADXL335 has an offset of ±0.15 V (x, y) and ±0.3 V (z).
-//! Its sensitivity is 270 to 330 mV/g; both are at 3.0 V and ratiometric.
+//! The tolerances are from the data sheets. An ADXL335 has an offset of ±0.15 V (x, y) or ±0.3 V (z).
+//! Its sensitivity is 270 to 330 mV/g. Both values apply at 3.0 V and are ratiometric.
 //! The bandwidth is 50 Hz and the noise is 300 µg/√Hz.
-//! Flex sensors have 10 kΩ ± 30 %, and two to three times as much when bent.
+//! Flex sensors have 10 kΩ ± 30 % when flat, and two to three times as much when bent.
 
 use std::cell::RefCell;
 use std::f64::consts::TAU;
@@ -15,15 +15,15 @@ use super::nano::{CYCLES_PER_MS, PinInput, Voltages};
 
 /// Supply voltage of the sensors, and reference voltage of the converter.
 pub const SUPPLY_MV: f64 = 3300.0;
-/// Resistor from A3 and A4 to ground.
+/// Resistance of each resistor that connects A3 or A4 to ground.
 const DIVIDER_OHM: f64 = 22_000.0;
 
-/// Uniform in a range.
+/// Draws a number uniformly from a range.
 pub fn uniform(rng: &mut Rng, range: std::ops::Range<f64>) -> f64 {
     range.start + rng.f64() * (range.end - range.start)
 }
 
-/// Standard normal.
+/// Draws a standard normal number.
 pub fn normal(rng: &mut Rng) -> f64 {
     (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (TAU * rng.f64()).cos()
 }
@@ -41,11 +41,11 @@ pub struct Sensors {
     pub sensitivity: [f64; 3],
     /// Offset from half the supply in mV, x y z.
     pub offset_mv: [f64; 3],
-    /// Noise of the accelerometer in mV (one standard deviation, 50 Hz bandwidth).
+    /// Noise of the accelerometer in mV (standard deviation at 50 Hz bandwidth).
     pub noise_mv: f64,
-    /// Flat resistance of index and middle flex sensor, in ohms.
+    /// Resistance of the flat flex sensors of index and middle finger, in ohms.
     pub flat_ohm: [f64; 2],
-    /// Resistance at the calibrated bend relative to flat.
+    /// Resistance at the calibrated bend, as a multiple of the flat resistance.
     pub bent_ratio: [f64; 2],
 }
 
@@ -105,7 +105,7 @@ pub struct Hand {
     pitch: Way,
     roll: Way,
     bend: [Way; 2],
-    /// The current fault.
+    /// The current hardware fault.
     pub fault: Option<Fault>,
 }
 
@@ -162,7 +162,7 @@ pub enum Fault {
     Stuck,
 }
 
-/// A wearer, who determines the board's voltages as a function of time.
+/// A wearer who determines the board's voltages as a function of time.
 pub struct Wearer {
     sensors: Sensors,
     /// The up direction in the sensor's frame in the neutral pose.
@@ -177,13 +177,13 @@ pub struct Wearer {
 
 type Vector = [f64; 3];
 
-/// Tips forward by `angle`, so that the wrist end (+x) goes up.
+/// Tilts the hand forward by `angle`, so that the wrist end (+x) goes up.
 fn pitched([x, y, z]: Vector, angle: f64) -> Vector {
     let (s, c) = angle.sin_cos();
     [c * x + s * z, y, -s * x + c * z]
 }
 
-/// Tips to the left by `angle`, so that the right edge (+y) goes up.
+/// Tilts the hand to the left by `angle`, so that the right edge (+y) goes up.
 fn rolled([x, y, z]: Vector, angle: f64) -> Vector {
     let (s, c) = angle.sin_cos();
     [x, c * y + s * z, -s * y + c * z]
@@ -211,13 +211,13 @@ impl Wearer {
         (wearer, hand)
     }
 
-    /// Acceleration in g along the sensor's axes.
+    /// Returns the acceleration in g along the sensor's axes.
     fn acceleration(&self, t: f64) -> Vector {
         let (shaken_pitch, shaken_roll) = self.tremor.as_ref().map_or((0.0, 0.0), |tremor| tremor.at(t));
         let hand = self.hand.borrow();
         let (pitch, roll) = (hand.pitch.at(t) + shaken_pitch, hand.roll.at(t) + shaken_roll);
         // The larger tilt is the intended one.
-        // It is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
+        // The larger tilt is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
         if pitch.abs() >= roll.abs() {
             rolled(pitched(self.neutral_up, pitch), roll)
         } else {
@@ -228,7 +228,7 @@ impl Wearer {
     fn update_filter(&mut self, t: f64, fault: Option<Fault>) {
         let gain = if let Some(Fault::Gravity(gain)) = fault { gain } else { 1.0 };
         let a = self.acceleration(t);
-        // 50 Hz, first order.
+        // The bandwidth is 50 Hz, as a first-order filter.
         let keep = (-(t - self.filtered_at).max(0.0) * TAU * 50.0).exp();
         for (axis, a) in a.into_iter().enumerate() {
             let wanted = SUPPLY_MV / 2.0
@@ -269,7 +269,7 @@ impl Voltages for Wearer {
             let bend = self.hand.borrow().bend[index - 3].at(t);
             self.flex_mv(index - 3, bend)
         };
-        // The converter's own noise of half a bit.
+        // The converter itself has a noise of half a bit.
         let mv = mv + 1.6 * normal(&mut self.rng);
         if fault == Some(Fault::Stuck) {
             self.frozen[index] = Some(mv);

@@ -1,4 +1,4 @@
-//! The left hand at the desk: the Nano's image in simavr, with its bootloader and its USB-serial chip.
+//! The left hand on the desk: the Nano's image in simavr, with its bootloader and its USB-serial chip.
 //! The chip resets the board whenever a program opens the port.
 
 use std::cell::RefCell;
@@ -14,21 +14,21 @@ use crate::avr::nano::Nano;
 use crate::avr::session::BLANK;
 use crate::avr::wearer::{Hand, Sensors, Wearer};
 
-/// Time for which the bootloader listens silently after a reset.
+/// Time for which the bootloader waits silently after a reset.
 const BOOTLOADER_MS: u64 = 700;
 
-/// The board on its wearer.
+/// The board on a wearer's hand.
 pub struct Left {
     nano: Nano,
     hand: Rc<RefCell<Hand>>,
     /// Remaining time of the bootloader.
     bootloader_ms: u64,
-    /// Total time of bootloaders, which the emulated program does not see.
+    /// Total running time of the bootloader, which the emulated program does not see.
     skipped_ms: u64,
     powered: bool,
 }
 
-/// A running left hand.
+/// A left hand on a desk.
 pub type LeftStation = Station<Left>;
 
 impl LeftStation {
@@ -52,18 +52,18 @@ impl Left {
         Station::start(desk.time(), &desk.path(name), board)
     }
 
-    /// Tips the hand forward by this many radians.
+    /// Tilts the hand forward by this many radians.
     pub fn tilt(&mut self, forward_rad: f64) {
         self.lean(forward_rad, 0.0);
     }
 
-    /// Tips the hand forward and to the left by this many radians.
+    /// Tilts the hand forward and to the left by this many radians.
     pub fn lean(&mut self, forward_rad: f64, left_rad: f64) {
         let now_s = self.nano.now_ms() / 1000.0;
         self.hand.borrow_mut().tilt(forward_rad, left_rad, now_s, 0.15);
     }
 
-    /// Bends both fingers: 0 is straight, 1 is as far as comfortable.
+    /// Bends both fingers: 0 is straight, and 1 is as far as comfortable.
     pub fn bend(&mut self, depth: f64) {
         let now_s = self.nano.now_ms() / 1000.0;
         (0..2).for_each(|finger| self.hand.borrow_mut().bend(finger, depth, now_s, 0.1));

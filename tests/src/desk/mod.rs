@@ -1,9 +1,9 @@
-//! Emulated boards at the desk. Their images run behind pseudo-terminals, so the program uses them like real ones.
-//! Cables can be pulled and boards restarted, and the test controls a common time.
+//! Emulated boards on the desk. Their images run behind pseudo-terminals, so the program uses them like real boards.
+//! A test can disconnect cables and restart boards, and it controls the common time.
 //!
-//! - [`left`] is the Nano with its USB-serial chip, [`right`] the Nano 33 with its own USB;
+//! - [`left`] is the Nano with its USB-serial chip, and [`right`] is the Nano 33 with its own USB;
 //! - [`programs`] builds the programs;
-//! - the desk itself is that of host-bridge's own tests.
+//! - the desk itself belongs to host-bridge's own tests.
 
 #[path = "../../../host-bridge/tests/support/graph.rs"]
 pub mod graph;

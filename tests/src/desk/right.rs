@@ -1,4 +1,4 @@
-//! The right hand at the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
+//! The right hand on the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,7 +13,7 @@ use crate::nrf::lsm9ds1::Motion;
 use crate::nrf::time::{HZ, ms};
 use crate::nrf::usb_host::UsbHost;
 
-/// Simulated recordings are at 100 Hz.
+/// Sample rate of simulated recordings, 100 Hz.
 const ROWS_PER_S: f64 = 100.0;
 const IDLE_S: f64 = 20.0;
 
@@ -62,14 +62,14 @@ impl Motion for Shared {
     }
 }
 
-/// The board on its wearer.
+/// The board on a wearer's hand.
 pub struct Right {
     board: board::Board,
     hand: Rc<RefCell<Hand>>,
     usb: UsbHost,
 }
 
-/// A running right hand.
+/// A right hand on a desk.
 pub type RightStation = Station<Right>;
 
 impl Right {
@@ -83,7 +83,7 @@ impl Right {
     }
 
     /// Starts a board with the stock bootloader and only the compiled-in model, on this wearer's still hand.
-    /// Its port on the desk has this name.
+    /// The board's port on the desk has the name `name`.
     pub fn start(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
         let hand = Rc::new(RefCell::new(Hand::new(wearer)));
         let motion = Box::new(Shared(Rc::clone(&hand)));
@@ -91,19 +91,19 @@ impl Right {
         Station::start(desk.time(), &desk.path(name), Self { board, hand, usb: UsbHost::default() })
     }
 
-    /// Makes this movement for this many seconds, and then rests.
+    /// Performs this movement for this many seconds, and then rests.
     pub fn perform(&mut self, motion: Doing, seconds: f64) {
         self.play(&[Segment::new(motion, seconds)]);
     }
 
-    /// Makes idle movements between gestures for this many seconds.
+    /// Performs idle movements between gestures for this many seconds.
     pub fn be_idle(&mut self, seconds: f64) {
         let kinds = IdleKind::ALL;
         let part = seconds / kinds.len() as f64;
         self.play(&kinds.map(|kind| Segment::new(Doing::Idle(kind), part)));
     }
 
-    /// Number of words written to flash since power-up, which shows the progress of a model.
+    /// Number of words written to flash since power-up, which indicates how much of a model has been stored.
     pub fn words_written(&mut self) -> u64 {
         self.board.soc().nvmc.written
     }
@@ -127,7 +127,7 @@ impl Board for Right {
     }
 
     fn sent(&mut self) -> Vec<u8> {
-        // Nobody listens at D0.
+        // The UART at D0 has no listener.
         self.board.uart_out();
         self.usb.read(&mut self.board)
     }

@@ -1,20 +1,20 @@
-//! A laptop whose Bluetooth is bumble's: what a test lets it do, and what it heard.
+//! A laptop whose Bluetooth stack is bumble. A test controls its actions and reads what it received.
 
 use serde_json::{Value, json};
 
 use super::board::Board;
 use super::session::RightRig;
 
-/// Where the board notifies.
+/// The characteristic with the board's notifications.
 pub const OUT: &str = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33";
-/// Where it is written to.
+/// The characteristic for writes to the board.
 pub const IN: &str = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33";
-/// What a laptop asks for.
+/// The MTU that a laptop requests.
 pub const MTU: u16 = 517;
-/// Longest time for anything that a test orders, in ms of virtual time.
+/// Maximum duration of any action that a test requests, in ms of virtual time.
 const PATIENCE_MS: u64 = 40_000;
 
-/// Bumble's laptop at an emulated board. The frames' bytes are those of a UART, cut as the MTU says.
+/// Bumble's laptop, linked to an emulated board. Frames are the same bytes as on a UART, split according to the MTU.
 #[derive(Clone, Debug)]
 pub struct AirHost {
     taken: usize,
@@ -28,7 +28,7 @@ impl Default for AirHost {
 }
 
 impl AirHost {
-    /// Bytes notified since the last call, with the cycle at which each was here.
+    /// Returns the bytes notified since the last call, each with the cycle of its arrival.
     pub fn read(&mut self, board: &mut Board) -> Vec<(u64, u8)> {
         let air = board.controller().air();
         let new = &air.log[self.taken..];
@@ -38,10 +38,10 @@ impl AirHost {
         read
     }
 
-    /// Lets the laptop do something and runs until it is done: what came of it, or what bumble says went wrong.
+    /// Lets the laptop perform an action, and runs until it is done. Returns the result, or bumble's error.
     ///
     /// # Panics
-    /// If it takes longer than 40 s.
+    /// Panics if the action takes longer than 40 s.
     pub fn want(board: &mut Board, order: Value) -> Result<Value, Value> {
         let number = board.order(order.clone());
         for _ in 0..PATIENCE_MS {
@@ -55,19 +55,18 @@ impl AirHost {
         panic!("{order} takes too long")
     }
 
-    /// The same where it must work.
+    /// Lets the laptop perform an action that must succeed, and returns the result.
     ///
     /// # Panics
-    /// If it does not.
+    /// Panics if the action fails.
     pub fn get(board: &mut Board, order: Value) -> Value {
         Self::want(board, order.clone()).unwrap_or_else(|failed| panic!("{order}: {failed}"))
     }
 
-    /// Connects at this interval (in ms), as a laptop that pairs if it has no keys, and else encrypts; asks for the largest
-    /// MTU and subscribes.
+    /// Connects at this interval (in ms), pairs or (if it has keys) encrypts, requests the largest MTU, and subscribes.
     ///
     /// # Panics
-    /// If a step fails.
+    /// Panics if a step fails.
     pub fn join(&mut self, board: &mut Board, interval: f64) {
         Self::get(board, json!({"do": "connect", "interval": interval}));
         let has_keys =
@@ -76,10 +75,10 @@ impl AirHost {
         self.settle_in(board);
     }
 
-    /// What follows encryption: MTU, discovery, subscription.
+    /// Performs the steps after encryption: MTU, discovery, subscription.
     ///
     /// # Panics
-    /// If a step fails.
+    /// Panics if a step fails.
     pub fn settle_in(&mut self, board: &mut Board) {
         let mtu = Self::get(board, json!({"do": "mtu", "mtu": MTU}));
         Self::get(board, json!({"do": "discover"}));
@@ -87,14 +86,14 @@ impl AirHost {
         self.room = mtu.as_u64().expect("a number") as usize - 3;
     }
 
-    /// Writes bytes, in pieces as the MTU says, without responses.
+    /// Writes bytes without responses, in pieces that fit the MTU.
     pub fn send(&mut self, board: &mut Board, bytes: &[u8]) {
         let pieces: Vec<String> = bytes.chunks(self.room).map(encode).collect();
         board.order(json!({"do": "write", "uuid": IN, "bytes": pieces}));
     }
 }
 
-/// Bytes as bumble's process takes them.
+/// Returns bytes in the format of bumble's process.
 pub fn encode(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
@@ -104,39 +103,39 @@ fn decode(hex: &str) -> Vec<u8> {
 }
 
 impl RightRig {
-    /// [`AirHost::want`].
+    /// Calls [`AirHost::want`].
     ///
     /// # Panics
-    /// As there.
+    /// Panics for the same reasons as [`AirHost::want`].
     pub fn want(&mut self, order: Value) -> Result<Value, Value> {
         AirHost::want(&mut self.board, order)
     }
 
-    /// [`AirHost::get`].
+    /// Calls [`AirHost::get`].
     ///
     /// # Panics
-    /// As there.
+    /// Panics for the same reasons as [`AirHost::get`].
     pub fn get(&mut self, order: Value) -> Value {
         AirHost::get(&mut self.board, order)
     }
 
-    /// [`AirHost::join`].
+    /// Calls [`AirHost::join`].
     ///
     /// # Panics
-    /// As there, or without bumble at the laptop's end.
+    /// Panics if [`AirHost::join`] does, or if the laptop does not use bumble.
     pub fn join(&mut self, interval: f64) {
         self.air.as_mut().expect("bumble's laptop").join(&mut self.board, interval);
     }
 
-    /// [`AirHost::settle_in`].
+    /// Calls [`AirHost::settle_in`].
     ///
     /// # Panics
-    /// As there, or without bumble at the laptop's end.
+    /// Panics if [`AirHost::settle_in`] does, or if the laptop does not use bumble.
     pub fn settle_in(&mut self) {
         self.air.as_mut().expect("bumble's laptop").settle_in(&mut self.board);
     }
 
-    /// What the laptop noticed without being asked, under this key.
+    /// Returns the laptop's unsolicited reports with this key.
     pub fn noticed(&mut self, key: &str) -> Vec<(u64, Value)> {
         let air = self.board.controller().air();
         let noticed = air.log.iter().filter(|(_, said)| said.get(key).is_some() && said.get("id").is_none());

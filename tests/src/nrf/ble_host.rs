@@ -1,11 +1,11 @@
-//! The Bluetooth of a laptop with its operating system and our bridge.
-//! It connects repeatedly, encrypts with stored keys or pairs, requests a large MTU, subscribes,
+//! Simulates the Bluetooth of a laptop with its operating system and our bridge.
+//! The laptop connects again and again, encrypts with stored keys or pairs, requests a large MTU, subscribes,
 //! and then exchanges frames.
 
 use super::board::Board;
 use super::softdevice::central::{Command, Happening};
 
-/// What Linux asks for.
+/// The MTU that Linux requests.
 const MTU: u16 = 517;
 /// Maximum length of a write before the MTU is known.
 const SMALLEST_WRITE: usize = 20;
@@ -63,7 +63,7 @@ impl BleHost {
         self.seen = central.log.len();
     }
 
-    /// Whether frames flow.
+    /// Returns whether the link is ready for frames.
     pub fn is_ready(&self) -> bool {
         self.ready
     }

@@ -1,7 +1,7 @@
-//! BMI270: registers, upload of its configuration, headerless FIFO and error register, moved by a [`Motion`].
+//! Simulates a BMI270 moved by a [`Motion`]: registers, upload of the configuration, headerless FIFO and error register.
 //!
-//! It follows the data sheet (BST-BMI270-DS000).
-//! The sensor's axes are those of a Rev2 board: x = −y, y = −x, z = z of the Rev1's raw axes.
+//! The simulation follows the data sheet (BST-BMI270-DS000).
+//! The sensor's axes are those of a Rev2 board. In terms of the Rev1's raw axes, x = −y, y = −x and z = z.
 //! A [`Motion`] uses the Rev1's axes.
 
 use std::collections::VecDeque;
@@ -14,14 +14,14 @@ use super::time::{HZ, ms, us};
 const CONFIGURATION_CRC: u32 = 0x229a1189;
 const CONFIGURATION_BYTES: usize = 8192;
 const SET_BYTES: usize = 12;
-/// The FIFO holds 2 KB.
+/// Size of the FIFO: 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
 
-/// Time for leaving power-save mode, for a reset, and for the start of the loaded program.
+/// Durations: leaving power-save mode, a reset, and the start of the loaded program.
 const WAKE: u64 = us(450);
 const RESET: u64 = ms(2);
 const INITIALISE: u64 = ms(20);
-/// Time from the gyroscope's start to its first value.
+/// Time from the start of the gyroscope to its first value.
 const GYRO_START_SECONDS: f64 = 0.045;
 
 const FIFO_LENGTH: u8 = 0x24;
@@ -32,11 +32,11 @@ const POWER_CONF: u8 = 0x7C;
 const POWER_CTRL: u8 = 0x7D;
 const COMMAND: u8 = 0x7E;
 
-/// The sensor.
+/// The simulated sensor.
 pub struct Bmi270 {
     registers: Registers,
     configuration: Vec<u8>,
-    /// Position of the next byte of the configuration.
+    /// Position at which the next byte of the configuration is stored.
     place: usize,
     /// Cycle at which power-save mode ended.
     awake_since: u64,
@@ -143,7 +143,7 @@ impl Chip for Bmi270 {
         if self.starts.is_some_and(|at| at <= now) {
             self.starts = None;
             let good = shared_dsp::right::network::crc32(&self.configuration) == CONFIGURATION_CRC;
-            // Status: initialised, or an error of the initialisation and of the processor.
+            // The status contains the state or error of the initialisation, and the state of the sensor's processor.
             self.registers.set(0x21, if good { 1 } else { 2 });
             self.registers.set(0x02, self.register(0x02) | if good { 0 } else { 1 << 1 });
         }
@@ -153,7 +153,7 @@ impl Chip for Bmi270 {
                 break;
             }
             self.registers.sets += 1;
-            // Headerless, with both sensors.
+            // The FIFO must be headerless and contain both sensors.
             if self.register(0x49) & 0xD0 == 0xC0 {
                 if self.fifo.len() == FIFO_SETS {
                     self.fifo.pop_front();
@@ -168,7 +168,7 @@ impl Chip for Bmi270 {
     fn written(&mut self, register: u8, value: u8, now: u64) {
         let saves_power = self.register(POWER_CONF) & 1 != 0 || now < self.awake_since + WAKE;
         match register {
-            // Read only.
+            // This register is read only.
             0x00..=0x3F => {}
             COMMAND if value == 0xB6 => {
                 self.reset();
@@ -217,10 +217,10 @@ impl Chip for Bmi270 {
             FIFO_DATA => {
                 let at = self.from_fifo;
                 self.from_fifo += 1;
-                // After the newest set, the FIFO returns 0x8000.
+                // After the newest set of values, the FIFO returns 0x8000.
                 self.fifo.get(at / SET_BYTES).map_or([0x00, 0x80][at % 2], |set| set[at % SET_BYTES])
             }
-            // Reading this register does not return the written value.
+            // A read of this register does not return the written value.
             COMMAND => 0,
             register => self.register(register),
         }
@@ -233,7 +233,7 @@ impl Chip for Bmi270 {
         }
     }
 
-    /// A set that was read only partially remains.
+    /// A set of values that was read only partially remains in the FIFO.
     fn read_ended(&mut self) {
         let whole = std::mem::take(&mut self.from_fifo) / SET_BYTES;
         self.fifo.drain(..whole.min(self.fifo.len()));
@@ -329,7 +329,7 @@ mod tests {
             bytes[12 * n..12 * n + 12].chunks(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect()
         };
         assert_eq!(set(0)[..3], [i16::MIN; 3]);
-        // 16.384 counts per deg/s, 8192 per g.
+        // The scales are 16.384 counts per deg/s and 8192 per g.
         assert_eq!(set(19), [0, -1638, i16::MIN, -835, 0, 8192]);
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now), [0, 0]);
         assert_eq!(get(&mut sensor, FIFO_DATA, now), [0x00, 0x80, 0x00, 0x80]);

@@ -1,7 +1,7 @@
-//! BMM150: power bit, trimming values, and readings of 13 and 15 bits with overflow, in the field of a [`Motion`].
+//! Simulates a BMM150 in the field of a [`Motion`]: power bit, trimming values, and 13- and 15-bit readings.
 //! The motion uses the chip's axes, because the chip's orientation on a Rev2 is unknown.
 //!
-//! It follows the data sheet (BST-BMM150-DS001).
+//! The simulation follows the data sheet (BST-BMM150-DS001).
 //! A field is converted to counts by the inverse of the maker's compensation.
 
 use nano33_sensor::bmm150::Trim;
@@ -14,7 +14,7 @@ const START: u64 = ms(3);
 const POWER: u8 = 0x4B;
 const MODE: u8 = 0x4C;
 
-/// The chip.
+/// The simulated chip.
 pub struct Bmm150 {
     registers: Registers,
     trim: Trim,
@@ -179,7 +179,7 @@ mod tests {
         set(&mut chip, &[(0x51, 4)], START - 1);
         assert_eq!(get(&mut chip, 0x40, START), [0x32]);
         assert_eq!([get(&mut chip, MODE, START), get(&mut chip, 0x51, START)], [[0x06], [0]]);
-        // Trimming values of x and y, of z, and the rest, at the data sheet's addresses.
+        // Trimming values at the data sheet's addresses: those of x and y, those of z, and all others.
         assert_eq!(get(&mut chip, 0x64, START), [26, 26]);
         assert_eq!(get(&mut chip, 0x6A, START), 24_747u16.to_le_bytes());
         assert_eq!(get(&mut chip, 0x70, START), [0xFD, 29]);
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_magnet_reads_as_overflow_of_its_axis() {
-        // The data sheet's range is 1300 uT for x and y and 2500 uT for z; the converter's is slightly larger.
+        // The data sheet's range is 1300 uT for x and y, and 2500 uT for z. The converter has a slightly larger range.
         let (mut chip, start) = running([1300.0, -1300.0, 2500.0]);
         let bytes: [u8; 8] = get(&mut chip, 0x42, start + ms(40));
         assert_ne!([bytes[0] & 0xF8, bytes[1]], [0, 0x80]);

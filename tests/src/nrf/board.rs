@@ -1,6 +1,6 @@
-//! The core (unicorn's Cortex-M4F) in its chip: exceptions, sleep, resets, and the count of instructions.
+//! Connects the core (unicorn's Cortex-M4F) with its chip: exceptions, sleep, resets, and the number of instructions.
 //!
-//! Unicorn executes instructions, and this module does the rest.
+//! Unicorn executes the instructions, and this module does everything else.
 //! While the core is awake, time advances with its instructions; while it sleeps, time jumps to the next event.
 
 mod exceptions;
@@ -26,17 +26,17 @@ use super::softdevice::{APPLICATION, Core, SoftDevice};
 use super::time::{HZ, us};
 
 /// Cycles per two instructions, because flash has wait states and loads take two cycles.
-/// The value of 1.5 cycles per instruction is above the usual 1.2 to 1.4.
+/// The value of 1.5 cycles per instruction is deliberately above the typical 1.2 to 1.4.
 const CYCLES_PER_TWO: u64 = 3;
-/// In place of a number of instructions.
+/// Marker that is stored in place of a number of instructions.
 const ANSWERED: u16 = u16::MAX;
-/// Entering or leaving an exception.
+/// Number of cycles for entering or leaving an exception.
 const EXCEPTION_CYCLES: u64 = 12;
 
 /// The reason why the core stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// An event is due or an interrupt is ready before the block at this address.
+    /// An event is due, or an interrupt is pending, before the block at this address.
     Attention { at: u32 },
     /// The core executed WFE or WFI at this address.
     Wait { at: u32, for_event: bool },
@@ -44,7 +44,7 @@ enum Stop {
     ExceptionReturn,
     /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
-    /// A function that is answered from outside, at this address.
+    /// The core called a function at this address that the emulator executes in its place.
     Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
@@ -58,18 +58,18 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Cycles of executed instructions, and their number when interrupts were masked.
+    /// Number of cycles of executed instructions, and its value when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet, [`ANSWERED`] if it is
-    /// a function that is answered from outside.
+    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
+    /// and [`ANSWERED`] if the emulator executes the function itself.
     blocks: Vec<u16>,
-    /// The function at this address is not answered but executed, this time.
+    /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses and numbers; few, and looked through at every block.
+    /// Addresses with the numbers of their probes. There should be few, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
-    /// Probes that paint the stack.
+    /// Probes that fill the stack with a pattern.
     painting: Vec<usize>,
     open: Vec<Open>,
     taps: Vec<(u32, usize, usize)>,
@@ -90,11 +90,11 @@ impl World {
     }
 }
 
-/// The word and address by which the stock bootloader detects a double press of reset.
+/// The word and its address by which the stock bootloader detects a double press of reset.
 const DOUBLE_PRESS: (u32, u32) = (0x2000_7FFC, 0x0773_8135);
-/// RAM that the stock bootloader uses as its stack.
+/// RAM in which the stock bootloader has its stack.
 const BOOTLOADER_STACK: std::ops::Range<u32> = 0x2000_6D48..0x2000_8D48;
-/// Bits of RESETREAS for resets by the pin, by the watchdog and by software.
+/// Bits of RESETREAS that indicate resets by the pin, by the watchdog and by software.
 const PIN: u32 = 1;
 const WATCHDOG: u32 = 2;
 const SOFT: u32 = 4;
@@ -102,13 +102,13 @@ const SOFT: u32 = 4;
 /// The environment that starts the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boot {
-    /// A simulated stock bootloader, which leaves its table and some active peripherals.
+    /// A simulated stock bootloader, which leaves a vector table and some active peripherals.
     StockBootloader,
-    /// The MBR and the SoftDevice, which forwards exceptions.
+    /// The models of the MBR and the SoftDevice, which forward exceptions.
     SoftDevice,
 }
 
-/// Which board it is.
+/// The type of board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Nano 33 BLE Sense with an LSM9DS1.
@@ -128,7 +128,7 @@ impl Kind {
         }
     }
 
-    /// According to the boards' documentation and, for the XIAO, Zephyr's board files.
+    /// The pins are those in the boards' documentation and, for the XIAO, in Zephyr's board files.
     fn wiring(self) -> Wiring {
         match self {
             Self::Nano33 | Self::Nano33Rev2 => Wiring {
@@ -182,7 +182,7 @@ impl Board {
     /// Returns a board of this kind with the image in flash, before its start.
     ///
     /// # Panics
-    /// Panics like [`Self::new`].
+    /// Panics for the same reason as [`Self::new`].
     pub fn of_kind(kind: Kind, image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         let mut soc = Soc::new(kind.wiring(), kind.sensor(motion));
         for (address, bytes) in &image.pieces {
@@ -295,10 +295,10 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // The state after the stock bootloader: its own table is active, and the converter and the cache are on.
+            // This is the state after the stock bootloader: its own vector table is active, and the converter and the cache are on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
-            // UARTE0 still receives to a byte of the bootloader's RAM, which is now ours.
+            // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.
             for (offset, value) in
                 [(0x50C, 35), (0x514, 42), (0x524, 0x01D6_0000), (0x534, 0x2000_9BD4), (0x538, 1), (0x500, 8)]
             {
@@ -341,12 +341,12 @@ impl Board {
         &mut self.uc.get_data_mut().soc
     }
 
-    /// Virtual time in cycles.
+    /// Returns the virtual time in cycles.
     pub fn now(&self) -> u64 {
         self.uc.get_data().soc.now
     }
 
-    /// Cycle at which the firmware's clock (RTC1) was 0.
+    /// Returns the cycle at which the firmware's clock (RTC1) was 0.
     pub fn clock_start(&self) -> u64 {
         super::time::cycle_of_tick(self.uc.get_data().soc.rtc1.zero_tick())
     }
@@ -356,17 +356,17 @@ impl Board {
         self.asleep
     }
 
-    /// Executed instructions.
+    /// Returns the number of executed instructions.
     pub fn instructions(&self) -> u64 {
         self.uc.get_data().instructions
     }
 
-    /// Cycles awake since power-up.
+    /// Returns the number of cycles awake since power-up.
     pub fn awake(&self) -> u64 {
         self.uc.get_data().soc.awake
     }
 
-    /// The image.
+    /// Returns the linked image.
     pub fn image(&self) -> &Image {
         &self.image
     }
@@ -383,7 +383,7 @@ impl Board {
             }
             let soc = self.soc();
             if soc.nvmc.busy_until > soc.now {
-                // The core and interrupts wait while flash is written.
+                // The core and its interrupts are suspended while flash is written.
                 let still = soc.nvmc.busy_until - soc.now;
                 soc.now += still;
                 soc.awake += still;
@@ -450,7 +450,7 @@ impl Board {
         self.start();
     }
 
-    /// Continues the program at the start of this function.
+    /// Lets the program continue at the start of this function.
     pub fn jump(&mut self, function: &str) {
         let address = self.image.function(function);
         self.set_reg(RegisterARM::PC, address | 1);
@@ -471,12 +471,12 @@ impl Board {
         self.run_until(until);
     }
 
-    /// Fraction of time awake so far, 0 to 1.
+    /// Returns the fraction of time awake so far, 0 to 1.
     pub fn awake_share(&self) -> f64 {
         self.awake() as f64 / self.now().max(1) as f64
     }
 
-    /// Seconds of virtual time.
+    /// Returns the virtual time in seconds.
     pub fn seconds(&self) -> f64 {
         self.now() as f64 / HZ as f64
     }
@@ -486,7 +486,7 @@ impl Board {
         self.soc().uart.take_sent().into_iter().map(|(_, byte)| byte).collect()
     }
 
-    /// Sends bytes into D1.
+    /// Sends bytes to the board at D1.
     pub fn uart_in(&mut self, bytes: &[u8]) {
         let soc = self.soc();
         soc.uart.receive(bytes, soc.now);

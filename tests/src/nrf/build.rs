@@ -5,21 +5,22 @@ use std::sync::{Mutex, OnceLock};
 
 use super::image::Image;
 
-/// The variants.
+/// The variants of the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variant {
-    /// For the stock bootloader at 0x10000, without Bluetooth.
+    /// The image behind the stock bootloader at 0x10000, without Bluetooth.
     Bootloader,
-    /// Behind S140 at 0x27000.
+    /// The image behind S140 at 0x27000.
     Ble,
-    /// Like `Ble`, for a XIAO nRF52840 Sense.
+    /// The same as `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
-    /// Behind the stock bootloader at 0x10000, with Bluetooth linked in.
+    /// The image behind the stock bootloader at 0x10000, with Bluetooth linked in.
     Trouble,
 }
 
-/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`,
-/// `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
+/// Returns the image of a variant, built by `cargo xtask firmware nano33`. The variables `BIMANUAL_NANO33_ELF`,
+/// `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` select other images, or images
+/// that are already built, as `cargo xtask test` does.
 ///
 /// # Panics
 /// Panics if the image does not build. The terminal shows the reason.
@@ -51,7 +52,7 @@ pub fn uf2() -> Vec<u8> {
 static XIAO: OnceLock<PathBuf> = OnceLock::new();
 
 fn build(variant: Variant) -> PathBuf {
-    // All variants first use the same file for their image, so they are built one after another.
+    // All variants use the same file name during the build, so they are built one after another.
     static ONE: Mutex<()> = Mutex::new(());
     let _one = ONE.lock();
     let name = match variant {

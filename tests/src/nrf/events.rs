@@ -1,13 +1,13 @@
 //! The common parts of all nRF peripherals: events, interrupt enable bits, shortcuts.
 
-/// EVENTS_* (0x100…), INTEN, INTENSET, INTENCLR and SHORTS of one peripheral.
+/// The registers EVENTS_* (0x100…), INTEN, INTENSET, INTENCLR and SHORTS of one peripheral.
 ///
-/// Event number `(offset - 0x100) / 4` is also its bit in INTEN, in every peripheral of this chip.
+/// The number of an event, `(offset - 0x100) / 4`, is also its bit in INTEN, in every peripheral of this chip.
 #[derive(Clone, Debug, Default)]
 pub struct Events {
     happened: u64,
     enabled: u32,
-    /// SHORTS.
+    /// The shortcut register SHORTS.
     pub shorts: u32,
     fired: Vec<u32>,
 }
@@ -29,7 +29,7 @@ impl Events {
         event < 32 && self.enabled & (1 << event) != 0
     }
 
-    /// The interrupt line.
+    /// Returns the level of the interrupt line.
     pub fn irq(&self) -> bool {
         self.happened & u64::from(self.enabled) != 0
     }
@@ -54,7 +54,7 @@ impl Events {
         })
     }
 
-    /// Writes a register of this block. Returns false if there is none at the offset.
+    /// Writes a register of this block. Returns false if the offset has no register.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x100..=0x1FC => {

@@ -2,26 +2,26 @@
 
 use super::time::{ms, us};
 
-/// Bytes per page.
+/// Size of a page in bytes.
 pub const PAGE: usize = 4096;
 
-/// The controller.
+/// The flash controller.
 #[derive(Clone, Debug, Default)]
 pub struct Nvmc {
     config: u32,
     /// ICACHECNF: whether the instruction cache is on.
     pub cache: bool,
-    /// Cycle until which the core waits.
+    /// Cycle until which the core is suspended.
     pub busy_until: u64,
     /// Number of pages erased since the start.
     pub erased: u64,
     /// Number of words written since the start.
     pub written: u64,
-    /// ERASEPAGEPARTIALCFG, in ms.
+    /// ERASEPAGEPARTIALCFG: duration of a partial erase in ms.
     partial_ms: u64,
-    /// The page that is erased by and by, and how long it was so far.
+    /// The page that is being erased in parts, and the total duration so far.
     partly: (usize, u64),
-    /// Power fails at this operation (a word or a page); for tests of broken transfers.
+    /// The operation (a word or a page) at which power fails, for tests of interrupted transfers.
     pub fails_after: Option<u64>,
 }
 
@@ -31,9 +31,9 @@ impl Nvmc {
         self.config & 3 == 1
     }
 
-    /// After a reset of the chip.
+    /// Resets the controller together with the chip.
     pub fn reset(&mut self) {
-        // A page half erased stays so.
+        // A partially erased page remains in that state.
         *self = Self { erased: self.erased, written: self.written, ..Self::default() };
     }
 
@@ -75,14 +75,14 @@ impl Nvmc {
         }
     }
 
-    /// Erases a page for a part of the time that it takes; it is blank when the parts add up.
+    /// Erases a page for a part of the required time. The page is blank when the parts add up to the whole time.
     pub fn erase_partly(&mut self, memory: &mut [u8], offset: usize, now: u64) {
         let part = ms(self.partial_ms.clamp(1, 127));
         let start = offset / PAGE * PAGE;
         let before = if self.partly.0 == start { self.partly.1 } else { 0 };
         self.partly = (start, before + part);
         if self.partly.1 < ms(85) {
-            // What a page reads in between is undefined.
+            // The content of the page between two parts is undefined.
             if self.works()
                 && let Some(page) = memory.get_mut(start..start + PAGE)
             {
@@ -97,7 +97,7 @@ impl Nvmc {
         self.busy_until = busy;
     }
 
-    /// Whether erasing is enabled.
+    /// Returns whether erasing is enabled.
     pub fn may_erase(&self) -> bool {
         self.config & 3 == 2
     }

@@ -1,12 +1,12 @@
 //! GPIO ports P0 and P1.
 
-/// One port.
+/// One GPIO port.
 #[derive(Clone, Debug, Default)]
 pub struct Port {
     out: u32,
     dir: u32,
     config: [u32; 32],
-    /// External levels, which apply if the pin is not an output.
+    /// External levels, which apply to pins that are not outputs.
     pub outside: u32,
 }
 
@@ -18,7 +18,7 @@ impl Port {
         }
         let high = self.out & (1 << pin) != 0;
         let drive = (self.config[pin as usize] >> 8) & 7;
-        // Modes 6 and 7 disconnect at 1; modes 4 and 5 disconnect at 0.
+        // Modes 6 and 7 disconnect the pin at level 1; modes 4 and 5 disconnect it at level 0.
         match (drive, high) {
             (6 | 7, true) | (4 | 5, false) => None,
             _ => Some(high),
@@ -80,7 +80,7 @@ mod tests {
     fn an_open_drain_output_drives_low_and_lets_the_line_float_high() {
         let mut port = Port { outside: 1 << 14, ..Port::default() };
         port.write(0x508, 1 << 14);
-        // Output, input connected, standard 0 disconnect 1.
+        // The pin is an output with connected input, in the mode "standard 0, disconnect 1".
         port.write(0x700 + 14 * 4, 1 | (6 << 8));
         assert_eq!(port.drives(14), None);
         assert_ne!(port.read(0x510) & (1 << 14), 0);

@@ -3,7 +3,7 @@
 use super::lsm9ds1::Motion;
 use super::time::ms;
 
-/// Time from power-on to the first answer, which is the turn-on time of such ST sensors.
+/// Time from power-on to the first answer, as for ST sensors of this type.
 const BOOT: u64 = ms(35);
 
 /// A motion sensor on the bus, with its own clock.
@@ -14,7 +14,7 @@ pub trait Sensor {
     fn write(&mut self, address: u8, bytes: &[u8], now: u64);
     /// Performs a read transfer from the selected register.
     fn read(&mut self, address: u8, bytes: &mut [u8], now: u64);
-    /// Loses all settings, as after a power dip.
+    /// Makes the sensor lose all settings, as after a power dip.
     fn power_cycle(&mut self);
     /// Moves the sensor to another hand.
     fn set_motion(&mut self, motion: Box<dyn Motion>);
@@ -24,7 +24,7 @@ pub trait Sensor {
     fn lose_write(&mut self, register: u8);
     /// Number of samples taken since power-up.
     fn sets(&self) -> u64;
-    /// Fails in a way that the sensor itself reports, if it can.
+    /// Makes the sensor fail in a way that it reports itself, if it can.
     fn fail(&mut self) {}
 }
 
@@ -45,18 +45,18 @@ pub struct Bus {
     pub sensor: Box<dyn Sensor>,
     /// Whether the sensor and the pull-ups have power.
     pub powered: bool,
-    /// Number of transfers that will not be acknowledged.
+    /// Number of following transfers that will not be acknowledged.
     pub nacks: u32,
-    /// Number of clocks until a device releases SDA.
+    /// Number of clock pulses until a device releases SDA.
     pub stuck_clocks: u32,
-    /// The sensor is unplugged.
+    /// Whether the sensor is unplugged.
     pub unplugged: bool,
     supplied: bool,
     /// Whether the controller uses the sensor's pins.
     pub wired: bool,
-    /// Cycle from which the sensors answer.
+    /// Cycle from which on the sensors answer.
     awake_at: u64,
-    /// Transfers so far.
+    /// Number of transfers so far.
     pub transfers: u64,
     scl_was_low: bool,
 }
@@ -83,7 +83,7 @@ impl Bus {
         if sensors && !self.supplied {
             self.awake_at = now + BOOT;
         }
-        // Without power, the sensor loses its settings.
+        // The sensor loses its settings when it has no power.
         if !sensors && self.supplied {
             self.sensor.power_cycle();
         }
@@ -108,7 +108,7 @@ impl Bus {
         }
     }
 
-    /// The controller writes.
+    /// Performs a write transfer of the controller.
     pub fn write(&mut self, address: u8, bytes: &[u8], now: u64) -> Reply {
         let reply = self.answers(address, now);
         if reply == Reply::Ack {
@@ -117,7 +117,7 @@ impl Bus {
         reply
     }
 
-    /// The controller reads.
+    /// Performs a read transfer of the controller.
     pub fn read(&mut self, address: u8, bytes: &mut [u8], now: u64) -> Reply {
         let reply = self.answers(address, now);
         if reply == Reply::Ack {

@@ -1,4 +1,4 @@
-//! A linked firmware image: the contents of flash and the addresses of its functions.
+//! A linked firmware image: its flash content and the addresses of its functions.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,20 +6,20 @@ use std::path::Path;
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, ObjectSegment, ObjectSymbol, SectionKind};
 
-/// An image.
+/// A firmware image.
 #[derive(Clone, Debug, Default)]
 pub struct Image {
-    /// Pieces with their addresses in flash.
+    /// Pieces of the image with their addresses in flash.
     pub pieces: Vec<(u32, Vec<u8>)>,
     /// Addresses of functions and objects by name.
     pub symbols: BTreeMap<String, u32>,
-    /// Bytes of functions and objects by name.
+    /// Sizes in bytes of functions and objects, by name.
     pub sizes: BTreeMap<String, u32>,
     /// Address of the vector table.
     pub vector_table: u32,
     /// Size of the contents of flash in bytes.
     pub flash_bytes: u32,
-    /// Size of statics in RAM in bytes.
+    /// Size in bytes of the statics in RAM.
     pub ram_bytes: u32,
 }
 
@@ -76,7 +76,7 @@ impl Image {
         self.symbols.keys().filter(|name| words.iter().all(|w| name.contains(w))).cloned().collect()
     }
 
-    /// A word of the image.
+    /// Returns a word of the image.
     pub fn word(&self, address: u32) -> Option<u32> {
         self.pieces.iter().find_map(|(start, bytes)| {
             let at = address.checked_sub(*start)? as usize;

@@ -1,6 +1,6 @@
-//! LSM6DS3TR-C: registers and a FIFO of words, moved by a [`Motion`] in the chip's axes.
+//! Simulates an LSM6DS3TR-C that is moved by a [`Motion`] in the chip's axes: registers and a FIFO of words.
 //!
-//! It follows the data sheet (ST DocID030071) and AN5130.
+//! The simulation follows the data sheet (ST DocID030071) and AN5130.
 
 use std::collections::VecDeque;
 
@@ -12,15 +12,15 @@ use super::time::{HZ, us};
 const FIFO_WORDS: usize = 2047;
 const RESET: u64 = us(50);
 const CTRL3_C: u8 = 0x12;
-/// A transfer continues with the next register.
+/// If this bit is set, a transfer continues with the next register.
 const INCREMENTS: u8 = 0x04;
-/// Time from the gyroscope's start to its first value.
+/// Time from the start of the gyroscope to its first value.
 const GYRO_START_SECONDS: f64 = 0.035;
 
-/// The sensor.
+/// The simulated sensor.
 pub struct Lsm6ds3 {
     registers: Registers,
-    /// Words of complete sets: gyroscope, then accelerometer.
+    /// Words of complete sets, each with the gyroscope first and the accelerometer second.
     fifo: VecDeque<i16>,
     overrun: bool,
     next_set: Option<f64>,
@@ -62,7 +62,7 @@ impl Lsm6ds3 {
 
     fn set(&self, at: f64) -> [i16; 6] {
         let v = self.registers.motion.at(at);
-        // ±2, ±16, ±4, ±8 g; ±250, 500, 1000, 2000 deg/s, and ±125 by a separate bit.
+        // The ranges are ±2, ±16, ±4, ±8 g, and ±250, 500, 1000, 2000 deg/s; a separate bit selects ±125 deg/s.
         let mg = [0.061, 0.488, 0.122, 0.244][usize::from(self.register(0x10) >> 2) & 3];
         let mdps = if self.register(0x11) & 2 != 0 {
             4.375
@@ -104,7 +104,7 @@ impl Chip for Lsm6ds3 {
             }
             self.registers.sets += 1;
             let control = self.register(0x0A);
-            // Continuous mode with a FIFO rate, and both sensors without decimation.
+            // The FIFO must be in continuous mode with a rate, and contain both sensors without decimation.
             if control & 7 == 6 && control >> 3 & 0xF != 0 && self.register(0x08) & 0x3F == 0x09 {
                 if self.fifo.len() + 6 > FIFO_WORDS {
                     self.fifo.drain(..6);
@@ -161,7 +161,7 @@ impl Chip for Lsm6ds3 {
     fn next(&self, register: u8) -> u8 {
         match register {
             _ if self.register(CTRL3_C) & INCREMENTS == 0 => register,
-            // A burst stays at the FIFO's output register.
+            // A burst read stays at the FIFO's output register.
             0x3F => 0x3E,
             register => (register + 1) & 0x7F,
         }

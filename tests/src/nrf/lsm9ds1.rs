@@ -1,4 +1,4 @@
-//! LSM9DS1: two dies with registers, address increment, FIFO and clipping, moved by a [`Motion`].
+//! Simulates an LSM9DS1 that is moved by a [`Motion`]: two dies with registers, address increment, FIFO and clipping.
 //!
 //! The sensor has its own clock ([`Sensor::set_clock_ratio`]), independent of the board's crystal.
 
@@ -13,7 +13,7 @@ pub trait Motion {
     fn at(&self, seconds: f64) -> [f64; 9];
 }
 
-/// A board that lies flat and still.
+/// A board that lies flat and does not move.
 pub struct Still;
 
 impl Motion for Still {
@@ -22,9 +22,9 @@ impl Motion for Still {
     }
 }
 
-/// Recorded rows on an even grid, connected by straight lines. The last row is held.
+/// Recorded rows at constant intervals, interpolated linearly. The last row is held.
 pub struct Replay {
-    /// The rows.
+    /// The recorded rows.
     pub rows: Vec<[f64; 9]>,
     /// Seconds between two rows.
     pub interval: f64,
@@ -42,7 +42,7 @@ impl Motion for Replay {
     }
 }
 
-/// The dies' addresses if SA0 and SA1 are high.
+/// The addresses of the two dies if SA0 and SA1 are high.
 const ADDRESS_AG: u8 = 0x6B;
 const ADDRESS_MAG: u8 = 0x1E;
 const FIFO_SETS: usize = 32;
@@ -53,7 +53,7 @@ enum Die {
     Mag,
 }
 
-/// The sensor.
+/// The simulated sensor.
 pub struct Lsm9ds1 {
     motion: Box<dyn Motion>,
     clock_ratio: f64,
@@ -69,11 +69,11 @@ pub struct Lsm9ds1 {
     latest: [i16; 6],
     /// Until this cycle, BOOT_STATUS is set and written settings are lost.
     boots_until: u64,
-    /// The register (bus address, register) whose next write is lost.
+    /// The register whose next write is lost, as bus address and register number.
     loses_write: Option<(u8, u8)>,
 }
 
-/// Time for which the accelerometer's die is busy after a software reset.
+/// Duration for which the accelerometer's die is busy after a software reset.
 const RESET_TIME: u64 = ms(10);
 
 impl Lsm9ds1 {
@@ -133,7 +133,7 @@ impl Lsm9ds1 {
         (self.mag[0x22] & 3 == 0).then_some(self.clock_ratio / hz)
     }
 
-    /// Returns m/s² and deg/s per count, from the data sheet's sensitivities.
+    /// Returns the sensitivities of the data sheet: m/s² per count, and deg/s per count.
     fn ag_scale(&self) -> (f64, f64) {
         let mg = [0.061, 0.732, 0.122, 0.244][usize::from(self.ag[0x20] >> 3) & 3];
         let mdps = [8.75, 17.5, f64::NAN, 70.0][usize::from(self.ag[0x10] >> 3) & 3];
@@ -141,7 +141,7 @@ impl Lsm9ds1 {
     }
 
     fn clip(value: f64) -> i16 {
-        // `as` saturates like the sensor.
+        // The conversion with `as` saturates like the sensor.
         value.round() as i16
     }
 
@@ -200,7 +200,7 @@ impl Lsm9ds1 {
     fn write_register(&mut self, die: Die, register: u8, value: u8, now: u64) {
         let seconds = now as f64 / HZ as f64;
         match (die, register) {
-            // Read only.
+            // This register is read only.
             (_, 0x0F) | (Die::AccelGyro, 0x15..=0x1D | 0x26..=0x2D | 0x2F) | (Die::Mag, 0x27..=0x2D) => {}
             (Die::AccelGyro, 0x22) if value & 1 != 0 => {
                 self.reset_ag();
@@ -242,7 +242,7 @@ impl Lsm9ds1 {
                 let byte = set[usize::from(index / 2)].to_le_bytes()[usize::from(index % 2)];
                 self.ag[0x17] &= !3;
                 self.ag[0x27] &= !3;
-                // Reading the last byte of the accelerometer removes the set.
+                // After the last byte of the accelerometer was read, the set is removed.
                 if register == 0x2D {
                     self.fifo.pop_front();
                 }
@@ -300,7 +300,7 @@ impl Sensor for Lsm9ds1 {
                 *byte |= 1 << 3;
             }
             if increments {
-                // A burst that passes the gyroscope's output registers continues with the accelerometer's.
+                // A burst that reads past the gyroscope's output registers continues with those of the accelerometer.
                 self.selected.1 = match (die, register) {
                     (Die::AccelGyro, 0x1D) => 0x28,
                     _ => (register + 1) & 0x7F,
@@ -393,7 +393,7 @@ mod tests {
         for (register, value) in [(0x20, 0x90), (0x23, 0x02), (0x2E, 0xC0), (0x10, 0x98)] {
             sensor.write(0x6B, &[register, value], 0);
         }
-        // 11 sets in 50 ms at 238 Hz.
+        // At 238 Hz, there are 11 sets in 50 ms.
         assert_eq!(get(&mut sensor, 0x6B, 0x2F, ms(50)), [11]);
         for left in (0..11).rev() {
             let _: [u8; 12] = get(&mut sensor, 0x6B, 0x18, ms(50));

@@ -1,10 +1,10 @@
 //! The chip's memories, which the core and the peripherals' EasyDMA share.
 
-/// Start of RAM.
+/// Start address of RAM.
 pub const RAM_START: u32 = 0x2000_0000;
-/// Bytes of RAM.
+/// Size of RAM in bytes.
 pub const RAM_BYTES: usize = 256 * 1024;
-/// Bytes of flash.
+/// Size of flash in bytes.
 pub const FLASH_BYTES: usize = 1024 * 1024;
 
 /// RAM at a fixed address, so that the emulated core can use it directly.
@@ -18,7 +18,7 @@ impl Default for Ram {
 }
 
 impl Ram {
-    /// For the core's memory map.
+    /// Returns a pointer for the core's memory map.
     pub fn as_mut_ptr(&mut self) -> *mut u8 {
         self.0.as_mut_ptr().cast()
     }
@@ -34,7 +34,7 @@ impl Ram {
         self.bytes().get(start..start.checked_add(len)?)
     }
 
-    /// A word, or 0 outside RAM.
+    /// Returns a word, or 0 outside RAM.
     pub fn word(&self, address: u32) -> u32 {
         self.get(address, 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
@@ -43,7 +43,7 @@ impl Ram {
     pub fn put(&mut self, address: u32, data: &[u8]) -> bool {
         let Some(start) = address.checked_sub(RAM_START) else { return false };
         let start = start as usize;
-        // SAFETY: as in `bytes`.
+        // SAFETY: this is the same case as in `bytes`.
         let bytes = unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast::<u8>(), RAM_BYTES) };
         match start.checked_add(data.len()).and_then(|end| bytes.get_mut(start..end)) {
             Some(place) => {

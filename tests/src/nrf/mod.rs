@@ -1,6 +1,6 @@
-//! The emulated right hand: a Nano 33 BLE Sense from its instructions to its I2C bus.
+//! The emulated right hand: a Nano 33 BLE Sense, from its processor's instructions to its I2C bus.
 //!
-//! It needs the package `libunicorn-dev` (Debian) and the Cargo feature `nrf`.
+//! The emulation needs the package `libunicorn-dev` (Debian) and the Cargo feature `nrf`.
 //! Each peripheral has its own file with its own tests, because emulators are not always accurate.
 //! The emulation omits wait states of the flash (see `board::CYCLES_PER_TWO`), bus contention,
 //! analog behaviour of pins, and radio waves.

@@ -1,16 +1,16 @@
-//! NVIC and the parts of the System Control Block that the image uses: pending, enabled, priorities.
+//! NVIC and the parts of the System Control Block that the image uses: pending and enabled interrupts, and priorities.
 
-/// External interrupts of the chip.
+/// Number of the chip's external interrupts.
 const IRQS: usize = 48;
 /// Number of exceptions before the external interrupts.
 pub const FIRST_IRQ: usize = 16;
-/// Numbers of the modelled exceptions with adjustable priority.
+/// Numbers of the modelled exceptions whose priority can be set.
 pub const SVCALL: usize = 11;
-/// PendSV.
+/// Exception number of PendSV.
 pub const PENDSV: usize = 14;
-/// SysTick.
+/// Exception number of SysTick.
 pub const SYSTICK: usize = 15;
-/// Priority of code outside of exceptions.
+/// Priority of code outside exceptions.
 pub const THREAD: i32 = 256;
 
 /// The interrupt controller.
@@ -23,7 +23,7 @@ pub struct Nvic {
     priority: [u8; IRQS],
     system_priority: [u8; 16],
     pendsv: bool,
-    /// VTOR.
+    /// VTOR: address of the vector table.
     pub vector_table: u32,
     registers: [u32; 8],
     /// Whether a reset was requested through AIRCR.
@@ -50,7 +50,7 @@ impl Default for Nvic {
 impl Nvic {
     /// Sets the levels of all interrupt lines.
     pub fn set_lines(&mut self, lines: u64) {
-        // A high line makes its interrupt pending unless its handler is running.
+        // A high line makes an interrupt pending unless its handler is running.
         let mut pends = lines;
         for &exception in &self.active {
             if exception >= FIRST_IRQ {
@@ -86,12 +86,12 @@ impl Nvic {
         }
     }
 
-    /// Priority that runs now.
+    /// Returns the priority of the running code.
     pub fn running(&self) -> i32 {
         self.active.iter().map(|&e| self.priority_of(e)).min().unwrap_or(THREAD)
     }
 
-    /// Returns the most urgent exception that would interrupt, considering only priorities.
+    /// Returns the most urgent exception that would interrupt the running code, judged only by priority.
     pub fn next(&self, basepri: u8) -> Option<usize> {
         let limit = if basepri == 0 { self.running() } else { self.running().min(i32::from(basepri)) };
         let ready = self.pending & self.enabled;
@@ -109,7 +109,7 @@ impl Nvic {
         self.pendsv || self.pending & self.enabled != 0
     }
 
-    /// The exception's handler starts.
+    /// Starts the handler of an exception.
     pub fn enter(&mut self, exception: usize) {
         if exception == PENDSV {
             self.pendsv = false;
@@ -126,7 +126,7 @@ impl Nvic {
         exception
     }
 
-    /// Exceptions whose handlers are running, the newest last.
+    /// Returns the exceptions whose handlers are running, the newest last.
     pub fn active(&self) -> &[usize] {
         &self.active
     }
@@ -156,7 +156,7 @@ impl Nvic {
                     self.priority[at + 3],
                 ])
             }
-            // CPUID of a Cortex-M4 r0p1.
+            // This is the CPUID of a Cortex-M4 r0p1.
             0xD00 => 0x410F_C241,
             0xD04 => {
                 let pending = self.next(0).unwrap_or(0) as u32;
@@ -190,7 +190,7 @@ impl Nvic {
             }
             0x400..=0x42F => {
                 for i in 0..size {
-                    // Three bits are implemented.
+                    // Only three bits of a priority are implemented.
                     self.priority[(offset - 0x400 + i) as usize] = (value >> (8 * i)) as u8 & 0xE0;
                 }
             }

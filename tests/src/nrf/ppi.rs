@@ -1,4 +1,4 @@
-//! PPI: events of one peripheral trigger tasks of another without the core.
+//! PPI: connects events of one peripheral to tasks of another, without the core.
 
 /// The image does not use channels with fixed wiring, so they are not modelled.
 const CHANNELS: usize = 20;
@@ -44,7 +44,7 @@ impl Ppi {
     /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
-            // Group tasks: enable or disable groups 0 to 5.
+            // The tasks of channel groups enable or disable groups 0 to 5.
             0x000..=0x02C if value & 1 != 0 => {
                 let channels = self.groups[offset as usize / 8];
                 if offset.is_multiple_of(8) { self.enabled |= channels } else { self.enabled &= !channels }

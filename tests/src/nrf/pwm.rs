@@ -1,4 +1,4 @@
-//! PWM: the first channel of a generator that loads its value once per sequence start, as embassy-nrf uses it.
+//! PWM: the first channel of a generator that loads a value at the start of each sequence, as in embassy-nrf.
 
 use super::events::Events;
 use super::memory::Ram;
@@ -8,23 +8,23 @@ const SEQEND: u32 = 4;
 /// Core cycles per cycle of the generator's 16 MHz clock.
 const CLOCK: u64 = 4;
 
-/// The state of the pin from a cycle on.
+/// A state of the pin that begins at a given cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
-    /// From here on.
+    /// Cycle at which the state begins.
     pub at: u64,
-    /// Port and pin.
+    /// Port and pin of the output.
     pub pin: (u32, u32),
     /// Fraction of the time in which the pin is high.
     pub high: f64,
-    /// Frequency of the signal.
+    /// Frequency of the output signal.
     pub period_hz: f64,
 }
 
-/// The generator.
+/// The PWM generator.
 #[derive(Clone, Debug)]
 pub struct Pwm {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     /// All changes of the pin. While the generator is off, the port controls the pin, which is not recorded here.
     pub drives: Vec<Drive>,
@@ -34,7 +34,7 @@ pub struct Pwm {
     pointer: u32,
     count: u32,
     pin: u32,
-    /// The end of the sequence.
+    /// Cycle at which the sequence ends.
     due: Option<u64>,
 }
 
@@ -97,7 +97,7 @@ impl Pwm {
         }
     }
 
-    /// Cycle of the next event.
+    /// Returns the cycle of the next event.
     pub fn due(&self) -> Option<u64> {
         self.due
     }

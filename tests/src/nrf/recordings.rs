@@ -1,4 +1,4 @@
-//! Recordings from `../shared/data`, joined into one for the emulated sensor.
+//! Joins recordings from `../shared/data` into one for the emulated sensor.
 
 use std::path::PathBuf;
 
@@ -36,7 +36,7 @@ pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
     (!rows.is_empty()).then_some((Replay { rows, interval: 0.01, start: 0.2 }, files.len()))
 }
 
-/// The rows of a recording with nine axes.
+/// Returns the rows of a recording with nine axes.
 pub fn rows(recording: &Recording) -> Vec<[f64; 9]> {
     recording.samples().map(|sample| std::array::from_fn(|axis| f64::from(sample[axis]))).collect()
 }

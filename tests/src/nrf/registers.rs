@@ -1,12 +1,12 @@
-//! The common parts of the emulated sensors with a single address: 128 byte registers, one of which is selected.
-//! A [`Motion`] moves the sensors, and each has its own clock.
+//! The common parts of all emulated sensors with one bus address. They have 128 registers of one byte, and a transfer selects one.
+//! A [`Motion`] moves each sensor, and each sensor has its own clock.
 
 use super::i2c::Sensor;
 use super::lsm9ds1::Motion;
 
 /// The registers and the motion of a chip.
 pub struct Registers {
-    /// The hand.
+    /// The motion of the hand.
     pub motion: Box<dyn Motion>,
     /// Ratio of true to nominal period of the chip's own clock.
     pub clock_ratio: f64,
@@ -20,7 +20,7 @@ pub struct Registers {
 }
 
 impl Registers {
-    /// Registers of zeros.
+    /// Starts with registers that are all zero.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         Self {
             motion,
@@ -33,7 +33,7 @@ impl Registers {
         }
     }
 
-    /// Zeros but for these.
+    /// Starts with registers that are zero except for these.
     pub fn reset(&mut self, values: &[(u8, u8)]) {
         self.bytes = [0; 128];
         for &(register, value) in values {
@@ -41,12 +41,12 @@ impl Registers {
         }
     }
 
-    /// The value of a register.
+    /// Returns the value of a register.
     pub fn get(&self, register: u8) -> u8 {
         self.bytes[usize::from(register & 0x7F)]
     }
 
-    /// Puts it there.
+    /// Sets the value of a register.
     pub fn set(&mut self, register: u8, value: u8) {
         self.bytes[usize::from(register & 0x7F)] = value;
     }
@@ -54,20 +54,20 @@ impl Registers {
 
 /// The behaviour of a specific chip.
 pub trait Chip {
-    /// Its bus address.
+    /// The bus address of the chip.
     const ADDRESS: u8;
 
-    /// Its registers.
+    /// Returns the chip's registers.
     fn registers(&self) -> &Registers;
-    /// Its registers.
+    /// Returns the chip's registers, mutably.
     fn registers_mut(&mut self) -> &mut Registers;
-    /// As after power-up.
+    /// Returns the chip to its state after power-up.
     fn reset(&mut self);
     /// Performs all actions that are due.
     fn advance(&mut self, now: u64);
-    /// A register is written.
+    /// Processes a write to a register.
     fn written(&mut self, register: u8, value: u8, now: u64);
-    /// A register is read.
+    /// Processes a read of a register.
     fn read(&mut self, register: u8) -> u8 {
         self.registers().get(register)
     }
@@ -75,9 +75,9 @@ pub trait Chip {
     fn next(&self, register: u8) -> u8 {
         (register + 1) & 0x7F
     }
-    /// Reports the end of a read transfer.
+    /// Informs the chip about the end of a read transfer.
     fn read_ended(&mut self) {}
-    /// Fails in a way that the sensor itself reports, if it can.
+    /// Makes the chip fail in a way that it reports itself, if it can.
     fn break_down(&mut self) {}
 }
 
@@ -136,12 +136,12 @@ impl<C: Chip> Sensor for C {
     }
 }
 
-/// The laptop's end of a chip in its own tests.
+/// The bus master in a chip's own tests.
 #[cfg(test)]
 pub mod tests {
     use super::*;
 
-    /// Reads from a register on.
+    /// Reads consecutive registers, from a given one on.
     pub fn get<const N: usize>(chip: &mut impl Chip, register: u8, now: u64) -> [u8; N] {
         Sensor::write(chip, 0, &[register], now);
         let mut bytes = [0; N];

@@ -6,10 +6,10 @@ use super::time::{cycle_of_tick, ticks};
 const OVERFLOW: u32 = 1;
 const COMPARE: u32 = 16;
 
-/// RTC0, RTC1 or RTC2.
+/// One of RTC0, RTC1 and RTC2.
 #[derive(Clone, Debug, Default)]
 pub struct Rtc {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     prescaler: u64,
     cc: [u32; 4],
@@ -17,7 +17,7 @@ pub struct Rtc {
     /// Tick of the 32,768 Hz clock at which the counter was 0 (minus complete turns).
     zero_tick: u64,
     stopped_at: u64,
-    /// Counter values up to this one have been compared.
+    /// Counter values up to this one have already been compared.
     compared: u64,
 }
 
@@ -26,12 +26,12 @@ impl Rtc {
         if self.running { (ticks(now) - self.zero_tick) / (self.prescaler + 1) } else { self.stopped_at }
     }
 
-    /// Tick of the 32,768 Hz clock at which the counter was 0.
+    /// Returns the tick of the 32,768 Hz clock at which the counter was 0.
     pub fn zero_tick(&self) -> u64 {
         self.zero_tick
     }
 
-    /// COUNTER.
+    /// Returns the register COUNTER.
     pub fn counter(&self, now: u64) -> u32 {
         (self.count(now) & 0xFF_FFFF) as u32
     }
@@ -58,7 +58,7 @@ impl Rtc {
         self.compared = count;
     }
 
-    /// Cycle of the next event that can interrupt.
+    /// Returns the cycle of the next event that can interrupt.
     pub fn due(&self) -> Option<u64> {
         if !self.running {
             return None;

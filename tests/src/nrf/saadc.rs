@@ -1,5 +1,5 @@
-//! SAADC: one single-ended channel with the internal reference of 0.6 V and a gain of 1/6 (embassy-nrf's default).
-//! This gives 0 to 3.6 V in 12 bits.
+//! SAADC: one single-ended channel with an internal reference of 0.6 V and a gain of 1/6 (embassy-nrf's default).
+//! The range is therefore 0 to 3.6 V in 12 bits.
 
 use super::events::Events;
 use super::memory::Ram;
@@ -9,15 +9,15 @@ const STARTED: u32 = 0;
 const END: u32 = 1;
 const CALIBRATEDONE: u32 = 4;
 const STOPPED: u32 = 5;
-/// Acquisition and conversion.
+/// Duration of acquisition and conversion.
 const CONVERSION: u64 = us(12);
-/// Millivolts of the whole range.
+/// Full range in millivolts.
 const FULL_SCALE_MV: f64 = 3600.0;
 
-/// The converter.
+/// The analog converter.
 #[derive(Clone, Debug, Default)]
 pub struct Saadc {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     /// Voltages at the analog inputs in millivolts.
     pub inputs_mv: [f64; 8],
@@ -38,7 +38,7 @@ impl Saadc {
     pub fn advance(&mut self, now: u64, ram: &mut Ram) {
         if self.due.is_some_and(|due| due <= now) {
             self.due = None;
-            // 0 means no input, and n means AIN(n − 1).
+            // The value 0 means no input, and n means AIN(n − 1).
             let input = (self.positive as usize).checked_sub(1).and_then(|n| self.inputs_mv.get(n));
             let mv = input.copied().unwrap_or(0.0);
             let counts = (mv / FULL_SCALE_MV * 4096.0).round().clamp(0.0, 4095.0) as i16;
@@ -48,7 +48,7 @@ impl Saadc {
         }
     }
 
-    /// Cycle of the next result.
+    /// Returns the cycle of the next result.
     pub fn due(&self) -> Option<u64> {
         self.due
     }

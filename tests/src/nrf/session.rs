@@ -11,70 +11,70 @@ use super::controller::{Air, Controller};
 use super::lsm9ds1::{Motion, Still};
 use super::softdevice::central::Happening;
 
-/// A state of the right hand, owned.
+/// A state of the right hand, without borrowed parts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Right {
     /// Cycle at which the frame was complete on the wire.
     pub at: u64,
-    /// As on the wire.
+    /// Sequence number of the frame.
     pub sequence: u16,
-    /// As on the wire.
+    /// Time of the window's newest sample on the board's clock.
     pub board_time_ms: u32,
-    /// As on the wire.
+    /// Number of gestures since the start, which wraps.
     pub events: u8,
-    /// As on the wire.
+    /// Index of the last event's gesture; 255 before the first event.
     pub label: u8,
-    /// As on the wire.
+    /// Confidence of the last event, where 0 to 255 means 0 to 1.
     pub confidence: u8,
-    /// As on the wire.
+    /// End of the window that triggered the last event.
     pub event_window_end_ms: u32,
-    /// As on the wire.
+    /// The network's int8 outputs as bytes, one per label.
     pub scores: Vec<u8>,
-    /// As on the wire.
+    /// Bits of the health; 0 means no problem.
     pub health: u8,
 }
 
 /// All messages from the board so far.
 #[derive(Default)]
 pub struct Heard {
-    /// Boot ids and model ids of hellos.
+    /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
-    /// States.
+    /// States of the hand.
     pub states: Vec<Right>,
-    /// Counters.
+    /// Counters from status messages.
     pub statuses: Vec<Status>,
-    /// Faults.
+    /// Fault reports.
     pub faults: Vec<Fault>,
-    /// Answers.
+    /// Replies to requests.
     pub acks: Vec<Ack>,
-    /// Raw samples: number of the first one, and counts.
+    /// Raw samples: the number of the first one, and the counts.
     pub raw: Vec<(u32, Vec<i16>)>,
     /// The board's newest description of its hardware.
     pub about: Option<About>,
-    /// Pongs.
+    /// Replies to pings.
     pub pongs: usize,
 }
 
 /// Decodes bytes from the board.
 #[derive(Default)]
 pub struct Listener {
-    /// The messages that the board sent.
+    /// All messages that the board sent.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
 }
 
-/// A board with the laptops that listen to it.
+/// A board with the laptops that are connected to it.
 pub struct RightRig {
-    /// The board.
+    /// The emulated board.
     pub board: Board,
     /// Messages from the board to this laptop.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
-    /// Bluetooth, if the laptop uses it. Another laptop then listens at D0.
+    /// The Bluetooth of the laptop, if it uses Bluetooth. Another laptop is then connected at D0.
     pub ble: Option<BleHost>,
-    /// Bluetooth with bumble at the laptop's end; then, too.
+    /// Bumble's Bluetooth, if the laptop uses it. Another laptop is connected at D0 in this case too.
     pub air: Option<AirHost>,
-    /// What that other laptop heard.
+    /// Messages that the other laptop, at D0, received.
     pub uart: Listener,
 }
 
@@ -89,7 +89,7 @@ impl RightRig {
         Self::ble_of_kind(Kind::Nano33, motion)
     }
 
-    /// The same with a board of this kind.
+    /// Starts such a session with a board of this kind.
     pub fn ble_of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
         let variant = if kind == Kind::Xiao { Variant::Xiao } else { Variant::Ble };
         let mut board = Board::of_kind(kind, image(variant), Boot::SoftDevice, motion);
@@ -98,7 +98,7 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// Does the same with a board at rest, until it is connected, bonded and subscribed.
+    /// Starts such a session with a board at rest, and waits until it is connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();
@@ -118,8 +118,8 @@ impl RightRig {
         session
     }
 
-    /// Starts the image that has Nordic's controller inside, behind the board's own bootloader, with bumble as the air and
-    /// the laptop, which does nothing yet.
+    /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
+    /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
         let image = image(Variant::Trouble);
         let controller = Controller::new(&image.symbols, Air::start(), 0);
@@ -142,9 +142,9 @@ impl RightRig {
         soc.settle();
     }
 
-    /// Runs and listens.
+    /// Runs the board and receives its data.
     pub fn run_ms(&mut self, milliseconds: u64) {
-        // A laptop's Bluetooth reacts to what it sees.
+        // The laptop's Bluetooth reacts to new events.
         let step = if self.ble.is_some() || self.air.is_some() { 5 } else { milliseconds };
         let mut left = milliseconds;
         while left > 0 {
@@ -154,7 +154,7 @@ impl RightRig {
         }
     }
 
-    /// Runs in steps of a millisecond until a condition holds or time is up. Returns whether it held.
+    /// Runs in steps of a millisecond until a condition holds or the time is over. Returns whether it held.
     pub fn run_until_that(&mut self, milliseconds: u64, mut holds: impl FnMut(&mut Self) -> bool) -> bool {
         for _ in 0..milliseconds {
             if holds(self) {
@@ -174,12 +174,12 @@ impl RightRig {
         assert!(is_ready, "{:?}", self.board.softdevice().central.log);
     }
 
-    /// Returns the events at the laptop's end of Bluetooth.
+    /// Returns the events that the laptop's Bluetooth has recorded.
     pub fn log(&mut self) -> Vec<Happening> {
         self.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
     }
 
-    /// Sends a message on the wire.
+    /// Sends a message to the board.
     pub fn send(&mut self, message: &HostMessage<'_>) {
         let mut buffer = [0; 512];
         let frame = encode_host(message, &mut buffer).expect("fits a frame").to_vec();
@@ -199,7 +199,7 @@ impl RightRig {
         found(self)
     }
 
-    /// Fraction of time awake as reported by the board, in parts per thousand.
+    /// Returns the fraction of time awake that the board reported, in parts per thousand.
     ///
     /// # Panics
     /// Panics if the board has sent no status.
@@ -207,7 +207,7 @@ impl RightRig {
         self.heard.statuses.last().expect("a status").load_permille
     }
 
-    /// Damaged frames from the board.
+    /// Returns the number of damaged frames from the board.
     pub fn damaged(&self) -> u32 {
         self.decoder.counters().damaged()
     }

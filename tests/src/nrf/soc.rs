@@ -32,90 +32,90 @@ const PPI: usize = 31;
 const PWM1: usize = 33;
 const USBD: usize = 39;
 
-/// Start of the flash that the firmware writes itself: bonds, then models.
+/// Start address of the flash that the firmware writes itself: first bonds, then models.
 pub const SLOTS_START: u32 = 0xD6000;
-/// Its end.
+/// End address of this flash.
 pub const SLOTS_END: u32 = 0xE0000;
 
-/// A port (0 or 1) and a pin.
+/// A pin, given by its port (0 or 1) and its number.
 type Pin = (usize, u32);
 
 /// The connections of the board's pins.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
-    /// The sensor's supply.
+    /// The pin that supplies the sensor.
     pub power: Pin,
-    /// Whether the sensor draws more current than a pin with standard drive supplies.
+    /// Whether the sensor draws more current than a pin with standard drive can supply.
     pub needs_high_drive: bool,
-    /// Supply of the bus' pull-ups, if it differs from the sensor's.
+    /// The pin that supplies the bus' pull-ups, if it is not the sensor's.
     pub pull_ups: Option<Pin>,
-    /// I2C, on port 0.
+    /// SDA of the sensor's I2C bus, on port 0.
     pub sda: u32,
-    /// I2C, on port 0.
+    /// SCL of the sensor's I2C bus, on port 0.
     pub scl: u32,
-    /// From the laptop.
+    /// The receiving pin, to which the laptop sends.
     pub uart_rx: Pin,
-    /// Red, green and blue, on port 0.
+    /// The red, green and blue LED, on port 0.
     pub led: [u32; 3],
 }
 
 /// The complete chip except for the core.
 pub struct Soc {
-    /// Cycles since power-up.
+    /// Number of cycles since power-up.
     pub now: u64,
-    /// RAM.
+    /// The RAM of the chip.
     pub ram: Ram,
-    /// Flash from the peripherals' point of view (the core's copy of the code is created once).
+    /// Flash as the peripherals see it (the core's copy of the code is created only once).
     pub flash: Vec<u8>,
-    /// UICR, one page.
+    /// The page UICR.
     pub uicr: Vec<u8>,
-    /// Interrupt controller.
+    /// The interrupt controller.
     pub nvic: Nvic,
-    /// Clocks, power and USB power.
+    /// The clocks, power, and USB power.
     pub power: ClockPower,
-    /// D0 and D1.
+    /// The UART at D0 and D1.
     pub uart: Uarte,
-    /// The sensor bus' controller.
+    /// The controller of the sensor bus.
     pub twim: Twim,
     gpiote: Events,
     /// The analog converter.
     pub saadc: Saadc,
-    /// The vibration motor's generator.
+    /// The PWM generator for the vibration motor.
     pub pwm1: Pwm,
     timers: [Timer; 5],
-    /// The time driver's counter.
+    /// The counter of the time driver.
     pub rtc1: Rtc,
     rng: Rng,
-    /// Watchdog.
+    /// The watchdog.
     pub watchdog: Watchdog,
-    /// Flash controller.
+    /// The flash controller.
     pub nvmc: Nvmc,
     ppi: Ppi,
-    /// USB device.
+    /// The USB device controller.
     pub usb: Usbd,
     /// S140, if the image uses it.
     pub softdevice: Option<Box<SoftDevice>>,
-    /// Nordic's controller inside the image, if it has one.
+    /// The model of Nordic's controller, if the image contains the controller.
     pub controller: Option<Box<Controller>>,
-    /// Pins.
+    /// The ports with all pins.
     pub ports: [Port; 2],
-    /// The sensor bus.
+    /// The sensor bus with its devices.
     pub bus: Bus,
     d1_is_open: bool,
     wiring: Wiring,
-    /// Registers that only store their values, by address.
+    /// Registers that only store their values, with their addresses.
     others: std::collections::HashMap<u32, u32>,
     /// The earliest cycle at which a peripheral has an event.
     pub due: u64,
     /// Number of cycles awake, which is also DWT's counter.
     pub awake: u64,
     dwt_offset: u64,
-    /// Accesses to peripherals that are not modelled, by page.
+    /// Number of accesses to peripherals that are not modelled, for each page.
     pub unknown: std::collections::BTreeSet<u32>,
 }
 
 impl Soc {
-    /// A chip after power-up.
+    /// Returns a chip after power-up.
     pub fn new(wiring: Wiring, sensor: Box<dyn Sensor>) -> Self {
         Self {
             now: 0,
@@ -150,7 +150,7 @@ impl Soc {
         }
     }
 
-    /// Resets the chip without a power-up: memories, time and surroundings are kept. `reason` is its bit in RESETREAS.
+    /// Resets the chip without a power-up: memories, time and external connections are kept. `reason` is its RESETREAS bit.
     pub fn reset(&mut self, reason: u32) {
         const SOFT: u32 = 1 << 2;
         self.power.reset(reason);
@@ -190,7 +190,7 @@ impl Soc {
         self.settle();
     }
 
-    /// Exchanges levels between pins and their surroundings.
+    /// Exchanges levels between the pins and the devices connected to them.
     fn wires(&mut self) {
         let Wiring { power, needs_high_drive, pull_ups, sda, scl, uart_rx, .. } = self.wiring;
         let high = |(port, pin): Pin| self.ports[port].drives(pin) == Some(true);
@@ -250,12 +250,12 @@ impl Soc {
             0xE000_E000..=0xE000_EFFF => self.nvic.read(offset),
             0xE000_1004 => (self.awake - self.dwt_offset) as u32,
             0x1000_0000..=0x1000_0FFF => match offset {
-                // INFO.PART, VARIANT ("AAF0": a chip with a self-locking debug port), and registers for errata checks.
+                // These are INFO.PART and VARIANT ("AAF0": a chip with a self-locking debug port), and registers for errata checks.
                 0x100 => 0x52840,
                 0x104 => 0x4141_4630,
                 0x130 => 0x8,
                 0x134 => 0x3,
-                // DEVICEID and DEVICEADDR.
+                // These are DEVICEID and DEVICEADDR.
                 0x060 => 0x1234_5678,
                 0x064 => 0x9ABC_DEF0,
                 0x0A4 => 0x5566_7788,
@@ -272,7 +272,7 @@ impl Soc {
         memory.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    // P0's registers start at 0x500 and P1's at 0x800 of the same page.
+    // P0's registers start at 0x500 of the page, and P1's at 0x800.
     fn is_p1(offset: u32) -> bool {
         matches!(offset, 0x804..=0x824 | 0xA00..=0xA7C)
     }
@@ -281,7 +281,7 @@ impl Soc {
         if Self::is_p1(offset) { offset - 0x300 } else { offset }
     }
 
-    /// The core reads.
+    /// Processes a read by the core.
     pub fn read(&mut self, address: u32, size: u32) -> u32 {
         self.check(address, None);
         let word = self.read_word(address & !3);
@@ -302,7 +302,7 @@ impl Soc {
         }
     }
 
-    /// The core writes.
+    /// Processes a write by the core.
     pub fn write(&mut self, address: u32, value: u32, size: u32) {
         self.check(address, Some(value));
         self.write_quietly(address, value, size);
@@ -321,7 +321,7 @@ impl Soc {
                     UARTE0 => self.uart.write(offset, value, now, &self.ram),
                     TWIM0 => {
                         self.twim.write(offset, value, now);
-                        // On other pins, no device answers.
+                        // If the controller uses other pins, no device answers.
                         self.bus.wired = (self.twim.read(0x508), self.twim.read(0x50C))
                             == (self.wiring.scl, self.wiring.sda);
                     }

@@ -1,4 +1,4 @@
-//! The small peripherals for start-up: clock, power, random numbers, watchdog.
+//! The small peripherals for the start of a program: clock, power, random numbers, watchdog.
 
 use super::events::Events;
 use super::time::{cycle_of_tick, ms, ticks, us};
@@ -9,19 +9,19 @@ const USBDETECTED: u32 = 7;
 const USBREMOVED: u32 = 8;
 const USBPWRRDY: u32 = 9;
 
-/// CLOCK and POWER, which share one page and one interrupt.
+/// CLOCK and POWER, which share a page and an interrupt.
 #[derive(Clone, Debug, Default)]
 pub struct ClockPower {
-    /// Events.
+    /// Events of these peripherals.
     pub events: Events,
     hf_due: Option<u64>,
     lf_due: Option<u64>,
     usb_ready_due: Option<u64>,
-    /// The 32 MHz crystal runs.
+    /// Whether the 32 MHz crystal runs.
     pub crystal: bool,
     lf_running: bool,
     lf_source: u32,
-    /// RESETREAS.
+    /// RESETREAS: the causes of resets.
     pub reset_reasons: u32,
     /// GPREGRET and GPREGRET2, which only survive a soft reset.
     pub retained: [u32; 2],
@@ -33,7 +33,7 @@ pub struct ClockPower {
 }
 
 impl ClockPower {
-    /// Plugs in or pulls the cable.
+    /// Connects or disconnects the USB cable.
     pub fn set_vbus(&mut self, on: bool, now: u64) {
         if on != self.vbus {
             self.vbus = on;
@@ -122,10 +122,10 @@ impl ClockPower {
     }
 }
 
-/// RNG: pseudo-random, seeded by the test.
+/// RNG: generates pseudo-random numbers from the test's seed.
 #[derive(Clone, Debug, Default)]
 pub struct Rng {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     state: u64,
     running: bool,
@@ -134,7 +134,7 @@ pub struct Rng {
 }
 
 impl Rng {
-    /// A generator with this seed.
+    /// Creates a generator with this seed.
     pub fn new(seed: u64) -> Self {
         Self { state: seed, ..Self::default() }
     }
@@ -150,7 +150,7 @@ impl Rng {
         }
     }
 
-    /// Cycle of the next value.
+    /// Returns the cycle of the next value.
     pub fn due(&self) -> Option<u64> {
         self.running.then_some(self.due)
     }
@@ -178,7 +178,7 @@ impl Rng {
 /// WDT: resets the chip unless all enabled reload registers were written in time.
 #[derive(Clone, Debug, Default)]
 pub struct Watchdog {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     running: bool,
     reload: u32,
@@ -189,12 +189,12 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// Whether time is up.
+    /// Returns whether the time is over.
     pub fn bites(&self, now: u64) -> bool {
         self.due().is_some_and(|d| d <= now)
     }
 
-    /// Cycle of the bite.
+    /// Returns the cycle at which the watchdog resets the chip.
     pub fn due(&self) -> Option<u64> {
         self.running.then(|| cycle_of_tick(self.fed_tick + u64::from(self.reload) + 1))
     }

@@ -1,14 +1,14 @@
-//! Virtual time: cycles of the 64 MHz clock.
+//! Virtual time, counted in cycles of the 64 MHz clock.
 
 /// Cycles per second.
 pub const HZ: u64 = 64_000_000;
 
-/// Microseconds as cycles.
+/// Converts microseconds to cycles.
 pub const fn us(us: u64) -> u64 {
     us * 64
 }
 
-/// Milliseconds as cycles.
+/// Converts milliseconds to cycles.
 pub const fn ms(ms: u64) -> u64 {
     us(ms * 1000)
 }

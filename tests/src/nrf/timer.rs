@@ -1,13 +1,13 @@
-//! TIMER as a counter of task triggers (the image's only use) and of 16 MHz ticks on capture.
+//! A TIMER that counts task triggers (the only use in the image), or 16 MHz ticks, which are read by capture.
 
 use super::events::Events;
 
 const COMPARE: u32 = 16;
 
-/// TIMER0 to TIMER4.
+/// One of TIMER0 to TIMER4.
 #[derive(Clone, Debug, Default)]
 pub struct Timer {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     mode: u32,
     bitmode: u32,

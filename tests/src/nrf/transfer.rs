@@ -49,7 +49,7 @@ pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8>
     .expect("a valid model")
 }
 
-/// The announcement of a model.
+/// Returns the announcement of a model.
 pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
     ModelBegin {
         request: 1,
@@ -62,7 +62,7 @@ pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
 /// Announces the model and waits until its slot is erased. Returns the answer.
 ///
 /// # Panics
-/// Without an answer.
+/// Panics if there is no answer.
 pub fn announce(session: &mut RightRig, begin: ModelBegin<'_>) -> AckResult {
     let before = session.heard.acks.len();
     session.send(&HostMessage::ModelBegin(begin));
@@ -94,7 +94,7 @@ pub fn restart(session: &mut RightRig) {
 /// Returns the id of the running model.
 ///
 /// # Panics
-/// Without a hello.
+/// Panics if the board sent no hello.
 pub fn model_id(session: &mut RightRig) -> u32 {
     session.send(&HostMessage::HelloRequest);
     let before = session.heard.hellos.len();

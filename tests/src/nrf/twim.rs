@@ -25,14 +25,14 @@ enum Doing {
     Sending,
     Receiving,
     Stopping,
-    /// Waits without a time limit for the line.
+    /// Waits for a free line without a time limit.
     Stuck,
 }
 
-/// TWIM0 or TWIM1.
+/// One of TWIM0 and TWIM1.
 #[derive(Clone, Debug)]
 pub struct Twim {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     enable: u32,
     error: u32,
@@ -75,7 +75,7 @@ impl Twim {
             0x0620_0000 => 390_000,
             _ => 400_000,
         };
-        // Each byte and the address take eight bits and an acknowledge; start or stop take one bit.
+        // The address and each byte take eight bits and an acknowledge; a start or stop takes one bit.
         u64::from((bytes + 1) * 9 + 1) * HZ / hz
     }
 
@@ -185,7 +185,7 @@ impl Twim {
             0x000 if value & 1 != 0 && enabled => self.begin(Doing::Receiving, now),
             0x008 if value & 1 != 0 && enabled => self.begin(Doing::Sending, now),
             0x014 if value & 1 != 0 && enabled => {
-                // A stop also needs the line.
+                // A stop condition also needs a free line.
                 if self.doing != Doing::Stuck {
                     self.begin(Doing::Stopping, now);
                 }
@@ -243,7 +243,7 @@ mod tests {
         twim.write(0x008, 1, 0);
         twim.advance(us(90), &mut ram, &mut bus);
         assert!(!twim.events.irq());
-        // Two times 19 bits at 400 kHz, and a stop.
+        // The transfer takes two times 19 bits at 400 kHz, and a stop.
         twim.advance(us(98), &mut ram, &mut bus);
         assert!(twim.events.irq());
         assert_eq!(ram.get(RAM_START + 4, 1), Some(&[0x68][..]));

@@ -1,4 +1,4 @@
-//! UARTE: serial port with EasyDMA. Bytes take their real time in both directions.
+//! UARTE: a serial port with EasyDMA. Bytes take their real time in both directions.
 
 use std::collections::VecDeque;
 
@@ -20,10 +20,10 @@ const ENDRX_STOPRX: u32 = 1 << 6;
 /// Capacity of the receiver in bytes while EasyDMA does not run.
 const FIFO: usize = 6;
 
-/// UARTE0 or UARTE1.
+/// One of UARTE0 and UARTE1.
 #[derive(Clone, Debug, Default)]
 pub struct Uarte {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     registers: [u32; 32],
     enable: u32,
@@ -40,7 +40,7 @@ pub struct Uarte {
     sent: Vec<(u64, u8)>,
     /// Number of bytes lost because EasyDMA did not run.
     pub overruns: u64,
-    /// Number of times pins were selected while the port was on, which the chip forbids.
+    /// Number of times that pins were selected while the port was on, which the chip forbids.
     pub pins_while_on: u32,
     /// Whether the receiving pin is floating, so that noise arrives.
     floating: bool,
@@ -48,7 +48,7 @@ pub struct Uarte {
 }
 
 impl Uarte {
-    /// Preserves the data on the wire after a reset of the chip.
+    /// Keeps the data that is on the wire when the chip is reset.
     pub fn keep_line(&mut self, before: Self) {
         self.arriving = before.arriving;
         self.sent = before.sent;
@@ -67,7 +67,7 @@ impl Uarte {
         10 * HZ / baud
     }
 
-    /// The receiver is on.
+    /// Returns whether the receiver is on.
     pub fn is_receiving(&self) -> bool {
         self.enable == 8 && self.receiver_on
     }
@@ -99,7 +99,7 @@ impl Uarte {
         }
     }
 
-    /// Returns the bytes sent by the board since the last call, with the cycle of their end.
+    /// Returns the bytes that the board sent since the last call, each with the cycle of its end.
     pub fn take_sent(&mut self) -> Vec<(u64, u8)> {
         std::mem::take(&mut self.sent)
     }
@@ -133,7 +133,7 @@ impl Uarte {
     fn start_rx(&mut self) {
         self.receiver_on = true;
         self.rx[2] = 0;
-        // Pointer and length are latched here, so the next ones may be written immediately.
+        // Pointer and length are latched here, so the image may already write the next ones.
         self.receiving = Some((self.rx[0], self.rx[1]));
         self.events.fire(RXSTARTED);
     }

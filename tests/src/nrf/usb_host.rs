@@ -1,5 +1,5 @@
-//! A laptop at the USB cable.
-//! It enumerates the serial port with one request after another, sets its line parameters, and reads and writes bytes.
+//! Simulates a laptop at the USB cable.
+//! The laptop enumerates the serial port request by request, sets its line parameters, and reads and writes bytes.
 
 use std::collections::VecDeque;
 
@@ -10,18 +10,18 @@ use super::usbd::Reply;
 /// Vendor and product ids of a sketch on an Arduino Nano 33 BLE, and of a program on a XIAO nRF52840 Sense.
 const IDS: [&[u8]; 2] = [&[0x41, 0x23, 0x5A, 0x80], &[0x86, 0x28, 0x45, 0x80]];
 
-/// Requests of the host through endpoint 0.
+/// Requests that the host sends to endpoint 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Request {
     DeviceDescriptor,
-    /// The string of this number.
+    /// The string with this number.
     Text(u8),
     SetAddress,
     /// The first 9 bytes of the configuration, which contain its length.
     ConfigurationHead,
     Configuration(u8),
     Configure,
-    /// Bits per second of the line.
+    /// Bit rate of the line, in bits per second.
     Baud(u32),
     /// Whether a program has opened the port.
     Open(bool),
@@ -46,7 +46,7 @@ impl Request {
     }
 }
 
-/// The laptop's end of the cable. Call [`UsbHost::step`] every millisecond.
+/// The laptop's side of the cable. Call [`UsbHost::step`] every millisecond.
 #[derive(Debug, Default)]
 pub struct UsbHost {
     plugged: bool,
@@ -61,7 +61,7 @@ pub struct UsbHost {
 }
 
 impl UsbHost {
-    /// Plugs in the cable. The port is [ready](Self::is_ready) after some steps.
+    /// Connects the cable. The port is [ready](Self::is_ready) after some steps.
     pub fn plug_in(&mut self, board: &mut Board) {
         let soc = board.soc();
         soc.usb.plugged = true;
@@ -80,7 +80,7 @@ impl UsbHost {
         *self = Self { plugged: true, to_ask: first.into(), ..Self::default() };
     }
 
-    /// Pulls the cable.
+    /// Disconnects the cable.
     pub fn unplug(&mut self, board: &mut Board) {
         let soc = board.soc();
         soc.usb.unplug();
@@ -104,7 +104,7 @@ impl UsbHost {
         self.bulk.is_some() && self.to_ask.is_empty() && self.asked.is_none()
     }
 
-    /// Continues with the next request.
+    /// Sends the next request of the enumeration.
     ///
     /// # Panics
     /// Panics if the device does not answer like a serial port with Arduino's ids.
@@ -155,7 +155,7 @@ impl UsbHost {
         }
     }
 
-    /// Bytes from the board since the last call.
+    /// Returns the bytes from the board since the last call.
     pub fn read(&mut self, board: &mut Board) -> Vec<u8> {
         self.bulk.map_or_else(Vec::new, |(input, _)| std::mem::take(&mut board.soc().usb.received[input]))
     }

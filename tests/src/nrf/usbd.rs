@@ -1,6 +1,6 @@
-//! USBD: the USB device controller, with a host at the other end of the cable.
+//! USBD: the USB device controller, with a host on the other side of the cable.
 //!
-//! The test controls the host: sequential control transfers, and packets to and from bulk endpoints.
+//! The test controls the host, which performs control transfers one after another and exchanges packets with bulk endpoints.
 //! The controller answers SET_ADDRESS itself, like the real one.
 
 use std::collections::VecDeque;
@@ -34,7 +34,7 @@ struct Control {
 pub enum Reply {
     /// Success, with the data of an IN transfer.
     Done(Vec<u8>),
-    /// The device refused.
+    /// The device refused the request.
     Stalled,
 }
 
@@ -42,17 +42,17 @@ pub enum Reply {
 enum Action {
     Reset,
     Setup,
-    /// The host reads the data in EP0.
+    /// The device sends data, which the host reads in EP0.
     TakeControl,
     /// The host sends the data of an OUT transfer.
     GiveControl,
     TakeBulk(usize),
 }
 
-/// The controller, and the host.
+/// The controller and the simulated host.
 #[derive(Clone, Debug, Default)]
 pub struct Usbd {
-    /// Events.
+    /// Events of this peripheral.
     pub events: Events,
     enabled: bool,
     pull_up: bool,
@@ -77,13 +77,13 @@ pub struct Usbd {
     pub received: [Vec<u8>; 8],
     /// Whether the host polls the device's IN endpoints.
     pub host_reads: bool,
-    /// The cable is plugged in.
+    /// Whether the cable is connected.
     pub plugged: bool,
     was_reset: bool,
 }
 
 impl Usbd {
-    /// Resets the chip, after which the host detects a disconnect.
+    /// Resets the chip. The host then detects a disconnection.
     pub fn reset(&mut self) {
         *self = Self { plugged: self.plugged, host_reads: self.host_reads, ..Self::default() };
     }
@@ -97,7 +97,7 @@ impl Usbd {
         self.was_reset && self.pull_up && self.plugged
     }
 
-    /// Pulls the cable, after which the host forgets the device.
+    /// Disconnects the cable. The host then forgets the device.
     pub fn unplug(&mut self) {
         self.plugged = false;
         self.was_reset = false;
@@ -108,7 +108,7 @@ impl Usbd {
         self.in_flight = Default::default();
     }
 
-    /// Starts a control transfer of the host; `data` goes to the device.
+    /// Starts a control transfer of the host, which sends `data` to the device.
     pub fn control(&mut self, setup: [u8; 8], data: &[u8], now: u64) {
         self.controls.push_back(Control { setup, data: data.to_vec(), received: Vec::new() });
         if !self.busy {

@@ -16,7 +16,7 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::{Right, RightStation};
 
-/// Number of attempts, because the model does not recognise every drawn gesture.
+/// Number of attempts, because the model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 3;
 const SOON: Duration = Duration::from_secs(12);
 
@@ -55,7 +55,7 @@ fn draw(run: &mut Running, right: &RightStation) {
 fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_that_is_off() {
     let desk = desk("ble-list");
     let bus = Bus::start(&desk.path(""));
-    // A system without the service.
+    // The D-Bus has no Bluetooth service.
     let (status, text) = run(&desk, &bus, &["list"]);
     assert!(!status.success() && text.contains("sudo systemctl start bluetooth"), "{text}");
     let (status, text) = bridge(&desk, "unix:path=/no/such/bus", &["doctor", "--right", "ble"]).end();
@@ -78,7 +78,7 @@ fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_th
         assert!(text.contains(word), "{word} in\n{text}");
     }
 
-    // Writes need a paired laptop.
+    // Only a paired laptop may write.
     bluez.pair(false);
     let (status, text) = run(&desk, &bus, &["doctor", "--right", "ble", "--seconds", "1"]);
     assert!(!status.success() && text.contains("bluetoothctl pair C0:FF:EE:00:00:33"), "{text}");

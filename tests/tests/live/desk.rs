@@ -19,7 +19,7 @@ use crate::renamed::renamed_model;
 
 /// Maximum time until the base drives, or until the end of a gesture is recognised.
 const SOON: Duration = Duration::from_secs(12);
-/// Number of attempts, because the model does not recognise every drawn gesture.
+/// Number of attempts, because the model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 3;
 
 fn armed(run: &mut Running) {
@@ -163,7 +163,7 @@ fn a_laptop_that_slept_moves_nothing_before_neutral_though_its_boards_went_on() 
         drive_forward(&mut run, &left);
         run.catch_up();
         let asleep = run.seen.len();
-        // The hand stays tilted, and the frames that its board sends meanwhile wait in the port.
+        // The hand stays tilted. Frames that its board sends meanwhile are queued in the port.
         desk.time().suspend(Duration::from_secs_f32(slept_s));
         run.wait(&["\"halt\""]);
         desk.pass(Duration::from_millis(1500));

@@ -1,7 +1,6 @@
 //! Tests the complete path from both emulated boards to a robot on ROS 2.
-//! The path consists of the flashed images behind pseudo-terminals, the program, DDS,
-//! and a robot on Eclipse Cyclone DDS
-//! (`tests/ros2/peer.py`).
+//! The path consists of the flashed images behind pseudo-terminals, the program, DDS, and a robot
+//! on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
 //! `cargo xtask test --only "ROS 2"` runs this test and sets BIMANUAL_ROS2_PYTHON.
 //!
 //! DDS and the robot use wall-clock time; boards and program share a time that is never faster.
@@ -20,11 +19,11 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// Number of attempts, because the model does not recognise every drawn gesture.
+/// Number of attempts, because the model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 4;
 /// Limit in wall-clock time. A gesture takes 4 s of the boards' time.
 const SOON: Duration = Duration::from_secs(60);
-/// Speed factor of the robot's arm, whose motions then take 3 to 7 s.
+/// Speed factor of the robot's arm, whose motions take 3 to 7 s with this factor.
 const PACE: &str = "8";
 
 fn is_armed(bridge: &mut Teller) -> bool {
@@ -74,7 +73,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     robot.catch_up();
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
 
-    // Tilts in the paper's four directions; both caps start at 0.5.
+    // The hand tilts in each of the paper's four directions. Both caps start at 0.5.
     let lateness = Lateness::watch();
     let mut delays_ms = Vec::new();
     let directions = [
@@ -151,7 +150,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // Two types of silence: a disconnected cable, and a board whose program hangs with an open port.
+    // There are two types of silence: a disconnected cable, and a board whose program hangs while its port is open.
     type Silence = fn(&LeftStation);
     let silences: [(&str, Silence); 2] =
         [("its cable is pulled", |left| left.pull()), ("its program hangs", |left| left.pace(0.0))];

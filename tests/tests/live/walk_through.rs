@@ -1,14 +1,12 @@
 //! Runs the walk-through of README.md as a new user would.
-//! The test reads the commands from README.md and runs them unchanged,
-//! with both emulated boards and a simulated wearer.
+//! The test reads the commands from README.md and runs them unchanged, with both emulated boards and a simulated wearer.
 //! The commands lead from `list` to the user's own gesture that moves the arm.
 //!
 //! There are three differences from a real desk.
-//! The ports are pseudo-terminals: `BIMANUAL_PORTS` passes them to `list`,
-//! and the test inserts their names where the user
-//! would.
+//! The ports are pseudo-terminals. `BIMANUAL_PORTS` passes their names to `list`,
+//! and the test inserts the names where the user would insert them.
 //! The programs are those that were built for the tests.
-//! The time limit applies to the boards' clocks plus the actual duration of the training.
+//! The time limit applies to the sum of the boards' time and the actual duration of the training.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::process::Command;
@@ -41,7 +39,7 @@ struct Shell {
 }
 
 impl Shell {
-    /// Runs a line as printed.
+    /// Runs a command line exactly as printed.
     fn start(&self, line: &str) -> Running {
         println!("$ {line}");
         let mut command = Command::new("sh");
@@ -68,7 +66,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
     }
     let desk = Desk::new("walk-through");
     let left = Left::start(&desk, "usb0");
-    // A wearer who is not in the training data of any model.
+    // A wearer whose data were not used for training any model.
     let right = Right::start(&desk, "acm0", Wearer::evaluation(77, 1));
     let shell = Shell { ports: [left.port(), right.port()], desk };
     let (begun, board_began_ms) = (Instant::now(), right.board_ms());

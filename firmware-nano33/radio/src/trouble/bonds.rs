@@ -1,8 +1,8 @@
-//! Who may read states and write: the laptops that have bonded, kept in flash.
+//! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
-//! Pairing is LE Secure Connections, "just works": it keeps out strangers and listeners, not one who is near and answers in the
-//! laptop's place while you pair. So as long as nobody has bonded, and for [`PAIRING`] after each start, any laptop may bond;
-//! later only those whose keys are kept are trusted.
+//! Pairing uses LE Secure Connections, "just works". It protects against listeners, but not against an attacker nearby
+//! who answers in place of the laptop during pairing. Any laptop may bond while no bond exists, and for [`PAIRING`]
+//! after each start. Later, only laptops whose keys are stored are trusted.
 
 use core::cell::RefCell;
 
@@ -17,10 +17,10 @@ use trouble_host::{Address, Identity};
 use super::Stack;
 use crate::PAIRING;
 
-/// Bonds that flash has yet to take.
+/// Bonds that have not been written to flash yet.
 static TO_SAVE: Channel<CriticalSectionRawMutex, Bond, 4> = Channel::new();
 
-/// The next bond to be kept over a restart.
+/// Returns the next bond that must be written to flash.
 pub async fn bonded() -> Bond {
     TO_SAVE.receive().await
 }
@@ -29,32 +29,32 @@ pub async fn bonded() -> Bond {
 pub struct Bonds(RefCell<Laptops>);
 
 impl Bonds {
-    /// With the laptops that flash holds.
+    /// Starts with the laptops that are stored in flash.
     pub fn new(laptops: Laptops) -> Self {
         Self(RefCell::new(laptops))
     }
 
-    /// Whether a laptop may bond now.
+    /// Returns whether a laptop may bond now.
     pub fn may_bond(&self) -> bool {
         self.0.borrow().is_empty() || Instant::now().as_ticks() < PAIRING.as_ticks()
     }
 
-    /// The laptop whose kept keys these are.
+    /// Returns the laptop to which these stored keys belong.
     pub fn of(&self, keys: &BondInformation) -> Option<Bond> {
         let key = keys.ltk.to_le_bytes();
         self.0.borrow().iter().find(|bond| bond.key == key).copied()
     }
 
-    /// Keeps a new laptop, or what has changed about one.
+    /// Stores a new laptop, or the changed keys of a known one.
     pub fn keep(&self, bond: Bond) {
         self.0.borrow_mut().keep(bond);
-        // The newest matters most.
+        // The newest bond is the most important one.
         while let Err(embassy_sync::channel::TrySendError::Full(_)) = TO_SAVE.try_send(bond) {
             let _ = TO_SAVE.try_receive();
         }
     }
 
-    /// Makes the stack know exactly the kept keys: one that paired outside its time has left others in their place.
+    /// Gives the stack exactly the stored keys. A laptop that paired outside the permitted time has replaced some of them.
     pub fn restore(&self, stack: &Stack) {
         let laptops = *self.0.borrow();
         loop {
@@ -79,7 +79,7 @@ impl Bonds {
     }
 }
 
-/// What is kept of new keys.
+/// Returns the part of new keys that is stored.
 pub fn from_keys(keys: &BondInformation) -> Bond {
     Bond {
         key: keys.ltk.to_le_bytes(),

@@ -1,38 +1,39 @@
-//! Writing to flash in the radio's pauses: mpsl gives a time slot between its events, in which the controller of the flash is ours.
+//! Writes to flash while the radio pauses: mpsl grants a time slot between radio events, in which we may use the
+//! flash controller.
 //!
-//! A page is erased in pieces of 10 ms. If the radio leaves no room, the slot is asked for once more with a priority that lets an
-//! event of the link be missed; the supervision time is two hundred times as long.
+//! A page is erased in pieces of 10 ms. If the radio grants no slot, the request is repeated with a higher priority,
+//! which lets one event of the link be missed. The supervision timeout is two hundred times as long.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::mutex::Mutex;
 use embassy_time::{Duration, Timer};
 use nrf_mpsl::MultiprotocolServiceLayer;
 
-/// The radio gave no time for flash.
+/// The radio left no time for a flash operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoSlot;
 
 /// Bytes per erasable page.
 const PAGE_BYTES: u32 = 0x1000;
 
-/// The slots. One user at a time.
+/// The time slots, which only one user may request at a time.
 #[derive(Clone, Copy)]
 pub struct SlotFlash;
 
-/// May move between tasks: there is one executor, on one core.
+/// It may move between tasks, because there is only one executor on one core.
 struct Slots(nrf_mpsl::Flash<'static>);
 
-// SAFETY: as said above, nothing of it ever leaves the one thread.
+// SAFETY: as explained above, this value never leaves the only thread.
 unsafe impl Send for Slots {}
 
 static SLOTS: Mutex<CriticalSectionRawMutex, Option<Slots>> = Mutex::new(None);
 
-/// Times that an operation is asked for, and the pause in between.
+/// Number of attempts for an operation, and the pause between two attempts.
 const TRIES: usize = 5;
 const PAUSE: Duration = Duration::from_millis(50);
 
 impl SlotFlash {
-    /// Takes the controller of the flash, once.
+    /// Takes the flash controller. This is possible only once.
     pub fn take(
         mpsl: &'static MultiprotocolServiceLayer<'static>,
         nvmc: embassy_nrf::Peri<'static, embassy_nrf::peripherals::NVMC>,
@@ -46,7 +47,7 @@ impl SlotFlash {
     /// Sets a page to all ones.
     ///
     /// # Errors
-    /// If the radio gave no slot for a quarter of a second.
+    /// Fails if the radio gave no slot for a quarter of a second.
     pub async fn erase_page(self, address: u32) -> Result<(), NoSlot> {
         let mut slots = SLOTS.lock().await;
         let slots = slots.as_mut().ok_or(NoSlot)?;
@@ -62,14 +63,14 @@ impl SlotFlash {
     /// Writes words to erased flash. The address is a multiple of 4.
     ///
     /// # Errors
-    /// As [`SlotFlash::erase_page`].
+    /// Fails for the same reason as [`SlotFlash::erase_page`].
     pub async fn write(self, address: u32, words: &[u32]) -> Result<(), NoSlot> {
-        // SAFETY: words are bytes; the length is the same.
+        // SAFETY: any words are valid as bytes, and the length in bytes is the same.
         let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
         let mut slots = SLOTS.lock().await;
         let slots = slots.as_mut().ok_or(NoSlot)?;
         for _ in 0..TRIES {
-            // Writing the same words once more changes nothing.
+            // Writing the same words again changes nothing.
             if slots.0.write(address, bytes).await.is_ok() {
                 return Ok(());
             }

@@ -24,23 +24,23 @@ use super::bonds::{Bonds, from_keys};
 use super::{Controller, Outbox, Stack};
 use crate::{ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION};
 
-/// What a laptop writes at once.
+/// Maximum number of bytes that a laptop writes at once.
 pub type Payload = heapless::Vec<u8, PAYLOAD>;
 type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 
-/// While a laptop may bond it has this long: its owner must find the question and answer it.
+/// Time for a laptop that may bond, because its owner must find the question and answer it.
 const WHILE_PAIRING: Duration = Duration::from_secs(30);
-/// Between two advertisements.
+/// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
-/// A piece that has not left after a hop is late.
+/// A piece that was not sent within this time (one hop) is late.
 const LATE: Duration = Duration::from_millis(80);
-/// Longest packet on the air: bytes, and their time at 1 Mbit/s.
+/// Longest packet on the air: its size in bytes, and its duration at 1 Mbit/s.
 const LONG_PACKET: (u16, u16) = (PAYLOAD as u16 + 7, 2120);
 
-/// What laptops have written, `None` between one and the next. While it is full, the link waits.
+/// Bytes that laptops have written, with `None` between two laptops. While the queue is full, the link waits.
 static WRITTEN: Channel<CriticalSectionRawMutex, Option<Payload>, 2> = Channel::new();
 
-/// The next piece that a trusted laptop has written; `None` where another link begins.
+/// Returns the next piece that a trusted laptop has written, or `None` where another link begins.
 pub async fn written() -> Option<Payload> {
     WRITTEN.receive().await
 }
@@ -63,7 +63,7 @@ pub struct Server {
     hand: HandService,
 }
 
-/// The descriptor by which a laptop says whether it listens.
+/// The descriptor with which a laptop subscribes to notifications.
 struct Listening(u16);
 
 impl AttributeHandle for Listening {
@@ -74,7 +74,7 @@ impl AttributeHandle for Listening {
     }
 }
 
-/// Serves laptops for ever, one after the other.
+/// Serves one laptop after another, forever.
 #[embassy_executor::task]
 pub async fn run(
     stack: &'static Stack,
@@ -85,7 +85,7 @@ pub async fn run(
     let mut peripheral = stack.peripheral();
     loop {
         bonds.restore(stack);
-        // The controller takes its list of changing addresses only while nothing goes on.
+        // The controller accepts its list of changing addresses only while it neither advertises nor has a link.
         Timer::after(IDLE).await;
         match advertise(&mut peripheral).await {
             Some(connection) => match connection.with_attribute_server(&server.server) {
@@ -124,18 +124,18 @@ async fn advertise(
     peripheral.advertise(&parameters, advertisement).await.ok()?.accept().await.ok()
 }
 
-/// One laptop's link.
+/// The link to one laptop.
 struct Visit {
     link: Link,
     server: &'static Server<'static>,
     bonds: &'static Bonds,
     outbox: &'static dyn Outbox,
-    /// The laptop, once the link is encrypted with its kept keys.
+    /// The laptop, once the link is encrypted with its stored keys.
     trusted: Cell<Option<Bond>>,
 }
 
 impl Visit {
-    /// Until the link ends.
+    /// Serves the laptop until the link ends.
     async fn serve(&self, stack: &'static Stack) {
         select(self.receive(), join3(self.send(), self.watch(), self.negotiate(stack))).await;
         self.outbox.set_open(false);
@@ -145,14 +145,14 @@ impl Visit {
         loop {
             match self.link.next().await {
                 GattConnectionEvent::Disconnected { .. } => return,
-                // The laptop pairs anew. That is for the time in which laptops may bond.
+                // The laptop pairs again, which is allowed only while laptops may bond.
                 GattConnectionEvent::BondLost if !self.bonds.may_bond() => self.hang_up(),
                 GattConnectionEvent::PairingComplete { bond: Some(keys), .. } => {
                     let bond = from_keys(&keys);
                     self.bonds.keep(bond);
                     self.trusted.set(Some(bond));
                 }
-                // Keys that nobody keeps are worth nothing here.
+                // Keys of a laptop that does not store them are useless here.
                 GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
                 GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
                 GattConnectionEvent::Gatt { event: GattEvent::Write(write) } => {
@@ -168,7 +168,7 @@ impl Visit {
         }
     }
 
-    /// A laptop with kept keys is back, and finds its wish to listen as it left it.
+    /// A laptop with stored keys has returned, so its subscription is restored.
     fn welcome(&self, bond: Option<Bond>) {
         self.trusted.set(bond);
         if let Some(bond) = bond {
@@ -211,7 +211,7 @@ impl Visit {
 
     /// Sends frames in pieces.
     async fn send(&self) {
-        // The beginning of a frame left and its end did not: the next one must not be taken for it.
+        // The beginning of a frame was sent but its end was not, so the next frame must not be taken for that end.
         let mut torn = false;
         loop {
             let frame = poll_fn(|context| self.outbox.poll_next(context)).await;
@@ -229,7 +229,7 @@ impl Visit {
         }
     }
 
-    /// Queues a piece of a frame; false if there is no room for longer than a hop, since the frame is late then.
+    /// Queues a piece of a frame. Returns false if there is no room for longer than a hop: it is then late.
     async fn notify(&self, piece: &[u8]) -> bool {
         let out = &self.server.hand.out;
         let queued = with_timeout(LATE, async {
@@ -243,7 +243,7 @@ impl Visit {
         matches!(queued.await, Ok(Ok(())))
     }
 
-    /// Lets a laptop bond while it may, and hangs up on one that is not trusted after a while.
+    /// Lets a laptop bond while this is allowed, and disconnects a laptop that is still not trusted after some time.
     async fn watch(&self) {
         let mut waited = Duration::from_secs(0);
         loop {
@@ -260,8 +260,8 @@ impl Visit {
         }
     }
 
-    /// Asks for long packets and the faster radio, and then for an interval until the laptop grants one, or leaves it at what it
-    /// wants.
+    /// Requests long packets and the faster radio mode. Then requests one connection interval after another,
+    /// until the laptop accepts one or keeps its own.
     async fn negotiate(&self, stack: &'static Stack) {
         let raw = self.link.raw();
         let _ = with_timeout(ANSWER, raw.update_data_length(stack, LONG_PACKET.0, LONG_PACKET.1)).await;

@@ -1,7 +1,8 @@
-//! Bluetooth linked into the image: Nordic's controller as a library (`nrf-sdc`, `nrf-mpsl`) and the host stack `trouble` above it.
-//! So the board keeps the bootloader that it was sold with.
+//! Bluetooth that is linked into the image: Nordic's controller as a library (`nrf-sdc`, `nrf-mpsl`), and above it the
+//! host stack `trouble`.
+//! The board therefore keeps its original bootloader.
 //!
-//! Theirs are RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, the clocks, ECB, CCM, AAR and PPI channels 17 to 31.
+//! These libraries use RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, the clocks, ECB, CCM, AAR and PPI channels 17 to 31.
 
 mod bonds;
 mod flash;
@@ -36,14 +37,14 @@ use self::power::PowerHandler;
 pub use self::power::cable;
 use crate::{NAME, PAYLOAD};
 
-/// A frame ready for the wire.
+/// A frame that is ready to be sent.
 pub type Frame = heapless::Vec<u8, BOARD_FRAME_MAX>;
 
-/// Where frames for the laptop wait.
+/// The queue of frames for the laptop.
 pub trait Outbox: Sync {
-    /// A trusted laptop listens now, or no longer does; what waited is forgotten.
+    /// Sets whether a trusted laptop listens. Waiting frames are discarded.
     fn set_open(&self, open: bool);
-    /// The next frame.
+    /// Returns the next frame.
     fn poll_next(&self, context: &mut Context<'_>) -> Poll<Frame>;
 }
 
@@ -58,20 +59,20 @@ bind_interrupts!(struct Irqs {
 type Controller = guard::Guarded<SoftdeviceController<'static>>;
 type Stack = trouble_host::Stack<'static, Controller, DefaultPacketPool>;
 
-/// One laptop, no channels of its own, one advertisement, and a place more for keys than are kept: a new laptop pairs before an old
-/// one is forgotten.
+/// One laptop, no channels of our own, and one advertisement. There is room for one key more than are stored,
+/// because a new laptop pairs before an old one is forgotten.
 type Resources = HostResources<DefaultPacketPool, 1, 1, 1, { REMEMBERED + 1 }>;
 
-/// Packets of a link's buffers in the controller: to the laptop, and from it.
+/// Number of packets that the controller buffers for a link: packets to the laptop, and packets from it.
 const PACKETS: (u8, u8) = (4, 3);
-/// Largest packet on the air without its header; four more than the largest MTU.
+/// Size of the largest packet on the air without its header, which is four bytes more than the largest MTU.
 const PACKET: u16 = PAYLOAD as u16 + 7;
-/// What the controller needs by the formulas of its `sdc.h`: a link with those buffers, what links share, an advertiser with 31
-/// bytes and a list of eight addresses, rounded up to the next hundred.
+/// Memory that the controller needs according to the formulas of its `sdc.h`, for a link with those buffers,
+/// the part that all links share, an advertiser with 31 bytes, and a list of eight addresses (rounded up to 100 bytes).
 const CONTROLLER_BYTES: usize =
     (923 + 7 * (PACKET as usize + 15) - 2 * 42 + 17 + 574 + 68).next_multiple_of(100);
 
-/// What the radio takes of the chip.
+/// The peripherals of the chip that the radio uses.
 pub struct Parts {
     /// Timers and clocks.
     pub timing: Timing<'static>,
@@ -83,7 +84,7 @@ pub struct Parts {
     pub random: Peri<'static, RNG>,
 }
 
-/// The running radio.
+/// The radio, which has been started.
 pub struct Radio {
     mpsl: &'static MultiprotocolServiceLayer<'static>,
     random: Rng<'static, Blocking>,
@@ -92,7 +93,7 @@ pub struct Radio {
 }
 
 impl Radio {
-    /// Starts clocks and time slots. `embassy_nrf::init` has run and has started the slow crystal.
+    /// Starts the clocks and time slots. `embassy_nrf::init` has already run and started the slow crystal.
     pub fn start(parts: Parts) -> Self {
         static MPSL: StaticCell<MultiprotocolServiceLayer<'static>> = StaticCell::new();
         static SESSION: StaticCell<SessionMem<1>> = StaticCell::new();
@@ -112,17 +113,17 @@ impl Radio {
         Self { mpsl, random: Rng::new_blocking(parts.random), controller: parts.controller, flash }
     }
 
-    /// A random number.
+    /// Returns a random number.
     pub fn random(&mut self) -> u32 {
         self.random.blocking_next_u32()
     }
 
-    /// Writing to flash beside the radio.
+    /// Returns access to the flash that shares time with the radio.
     pub fn flash(&mut self) -> SlotFlash {
         self.flash
     }
 
-    /// Starts everything else. Returns what the USB driver asks for its cable.
+    /// Starts everything else. Returns the object that tells the USB driver about its cable.
     pub fn spawn(
         self,
         spawner: Spawner,
@@ -180,10 +181,10 @@ fn build(
         .build(parts, random, mpsl, memory)
 }
 
-/// The static random address that the chip was given when it was made.
+/// Returns the static random address that the chip received in production.
 fn address() -> Address {
     let [low, high] = [0, 1].map(|word| pac::FICR.deviceaddr(word).read().to_le_bytes());
-    // The two highest bits say "static".
+    // The two highest bits mark the address as static.
     Address::random([low[0], low[1], low[2], low[3], high[0], high[1] | 0xC0])
 }
 
@@ -192,7 +193,7 @@ async fn run_mpsl(mpsl: &'static MultiprotocolServiceLayer<'static>) -> ! {
     mpsl.run().await
 }
 
-/// Runs the host. It ends only if the controller refuses what it must not refuse; then a fresh start is the way on.
+/// Runs the host. It ends only if the controller refuses a command that it must accept; only a restart helps then.
 #[embassy_executor::task]
 async fn run_host(stack: &'static Stack) -> ! {
     let _ = stack.runner().run().await;

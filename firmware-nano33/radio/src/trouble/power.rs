@@ -1,4 +1,5 @@
-//! The USB cable: its power's events share an interrupt with mpsl's clocks, and while it is in, the fast crystal stays on for USB.
+//! Watches the USB cable. Its power events share an interrupt with mpsl's clocks, and the fast crystal must run for USB
+//! while the cable is connected.
 
 use embassy_nrf::interrupt::typelevel::{CLOCK_POWER, Handler};
 use embassy_nrf::interrupt::{self, InterruptExt};
@@ -13,10 +14,10 @@ use nrf_mpsl::{Hfclk, MultiprotocolServiceLayer};
 /// The crystal starts in less than a millisecond.
 const CRYSTAL: Duration = Duration::from_millis(20);
 
-/// Whether the USB cable is in.
+/// Whether the USB cable is connected.
 static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
 
-/// Waits until the USB cable is in, or out. For one task.
+/// Waits until the USB cable is connected or disconnected. Only one task may wait.
 pub async fn cable(wanted: bool) {
     if let Some(mut cable) = CABLE.receiver() {
         cable.get_and(|&is| is == wanted).await;
@@ -25,7 +26,7 @@ pub async fn cable(wanted: bool) {
 
 static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
-/// Notes that something about the cable has changed.
+/// Reports that the state of the cable has changed.
 pub struct PowerHandler;
 
 impl Handler<CLOCK_POWER> for PowerHandler {
@@ -40,18 +41,18 @@ impl Handler<CLOCK_POWER> for PowerHandler {
     }
 }
 
-/// Whether the cable is in, and whether its regulator is ready.
+/// Returns whether the cable is connected, and whether its regulator is ready.
 fn look() -> (bool, bool) {
     let status = POWER.usbregstatus().read();
     (status.vbusdetect(), status.outputrdy())
 }
 
-/// What the USB driver is told at first: no cable.
+/// The USB driver's initial state: no cable is connected.
 pub fn unplugged() -> SoftwareVbusDetect {
     SoftwareVbusDetect::new(false, false)
 }
 
-/// Tells the USB driver and the serial port of the cable.
+/// Informs the USB driver and the serial port about the cable.
 #[embassy_executor::task]
 pub async fn run(mpsl: &'static MultiprotocolServiceLayer<'static>, vbus: &'static SoftwareVbusDetect) -> ! {
     POWER.intenset().write(|w| {
@@ -59,7 +60,7 @@ pub async fn run(mpsl: &'static MultiprotocolServiceLayer<'static>, vbus: &'stat
         w.set_usbremoved(true);
         w.set_usbpwrrdy(true);
     });
-    // SAFETY: its handlers are bound, and mpsl has chosen its priority.
+    // SAFETY: the interrupt's handlers are bound, and mpsl has set its priority.
     unsafe { interrupt::CLOCK_POWER.enable() };
     CABLE.sender().send(false);
     let mut crystal = None;

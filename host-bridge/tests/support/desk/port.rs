@@ -11,13 +11,13 @@ use serialport::{SerialPort as _, TTYPort};
 static STARTING: Mutex<()> = Mutex::new(());
 
 /// A lock that every start of a program must hold.
-/// A program that starts while a pseudo-terminal is created would inherit the board's end, and the test could no longer
-/// disconnect the cable.
+/// A program that starts while a pseudo-terminal is created would inherit the board's side, and the test could then
+/// no longer disconnect the cable.
 pub fn alone() -> MutexGuard<'static, ()> {
     STARTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns the board's end of a pseudo-terminal, which no program inherits, and the laptop's end.
+/// Returns both sides of a pseudo-terminal: the board's, which no program inherits, and the laptop's.
 ///
 /// # Panics
 /// Panics if the system has no free pseudo-terminal.
@@ -27,11 +27,11 @@ pub fn pair() -> (TTYPort, TTYPort) {
     // Safety: the port gives up ownership of its descriptor. Programs do not inherit the copy.
     let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
     let copy = board.try_clone().expect("a descriptor");
-    // SAFETY: as above.
+    // SAFETY: this is the same case as above.
     (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
 }
 
-/// The board's end of a cable.
+/// The board's side of a cable.
 pub struct Port {
     place: PathBuf,
     board: Option<TTYPort>,

@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use super::time::{Process, Time};
 
-/// Limit in the test's time, or in wall-clock time for programs that do not use it,
-/// so that a hang cannot block the tests.
+/// Time limit for a wait. It uses the test's time, or wall-clock time for programs that do not use the test's time,
+/// so that a test cannot hang forever.
 pub const PATIENCE: Duration = Duration::from_secs(240);
 
 /// A temporary folder for one test, and the test's time.
@@ -45,12 +45,12 @@ impl Desk {
         self.time.pass(time);
     }
 
-    /// A path in its folder.
+    /// Returns a path in the desk's folder.
     pub fn path(&self, name: &str) -> PathBuf {
         self.path.join(name)
     }
 
-    /// The same as text.
+    /// Returns the same path as text.
     pub fn text(&self, name: &str) -> String {
         self.path(name).display().to_string()
     }
@@ -139,7 +139,7 @@ impl Output {
     }
 }
 
-/// A program under way.
+/// A running program.
 pub struct Running {
     time: Time,
     process: Rc<Process>,
@@ -206,7 +206,7 @@ impl Running {
         }
     }
 
-    /// Like [`Self::wait`] with another limit, but returns `None` if there is no such line.
+    /// Like [`Self::wait`] with another limit, except that it returns `None` if there is no such line.
     pub fn wait_for(&mut self, patience: Duration, words: &[&str]) -> Option<String> {
         let until = self.until(patience);
         loop {

@@ -8,18 +8,18 @@ use std::time::Duration;
 use super::port::Port;
 use super::time::{Time, Turn};
 
-/// Time that a system needs to notice that a device was removed or added.
+/// Time that an operating system needs to notice that a device was removed or added.
 const GONE: Duration = Duration::from_millis(200);
 
 /// Functions of a board that a station needs.
 pub trait Board {
     /// Milliseconds since power-on, including resets.
     fn now_ms(&self) -> u64;
-    /// Runs until this time. The start of the board may have passed it already.
+    /// Runs until this time, which the board's start may already have passed.
     fn run_until_ms(&mut self, ms: u64);
     /// Returns the bytes sent since the last call.
     fn sent(&mut self) -> Vec<u8>;
-    /// Bytes of the laptop.
+    /// Processes bytes from the laptop.
     fn receive(&mut self, bytes: &[u8]);
     /// Called when the laptop opens or closes the port.
     fn opened(&mut self, open: bool);
@@ -66,7 +66,7 @@ impl<B: Board + 'static> Station<B> {
         self.place.display().to_string()
     }
 
-    /// Returns the time that the station uses.
+    /// Returns the simulated time that the station uses.
     pub fn time(&self) -> &Time {
         &self.time
     }
@@ -86,7 +86,7 @@ impl<B: Board + 'static> Station<B> {
         self.desk.borrow_mut().pull();
     }
 
-    /// Disconnects the cable at the first moment when `moment` returns true.
+    /// Disconnects the cable as soon as `moment` returns true.
     pub fn pull_when(&self, moment: impl FnMut(&mut B) -> bool + 'static) {
         self.desk.borrow_mut().pull_when = Some(Box::new(moment));
     }
@@ -106,7 +106,7 @@ impl<B: Board + 'static> Station<B> {
         }
     }
 
-    /// Sets the number of board milliseconds per simulated millisecond. With 0 the board's program hangs.
+    /// Sets how many milliseconds the board runs per simulated millisecond. With 0, the board's program hangs.
     pub fn pace(&self, factor: f64) {
         let mut desk = self.desk.borrow_mut();
         desk.from_ms = desk.wanted_ms();

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 
 use super::port::alone;
 
-/// Limit in wall-clock time for one step or one start of a program.
-/// It is far longer than needed on a busy machine, and only prevents that a hang blocks the tests.
+/// Limit in wall-clock time for one step, or for the start of a program.
+/// It is much longer than a busy machine needs, and only prevents a test from hanging forever.
 const PATIENCE: Duration = Duration::from_secs(240);
 /// Maximum delay that [`Time::keep_pace`] catches up with. It ignores longer delays.
 const MADE_UP: Duration = Duration::from_millis(20);
@@ -43,7 +43,7 @@ struct Inner {
 }
 
 impl Time {
-    /// Starts at 0, and stores its files in this folder.
+    /// Starts the time at 0. Its files are stored in this folder.
     pub fn start(folder: &Path) -> Self {
         Self(Rc::new(Inner {
             folder: folder.to_path_buf(),
@@ -60,7 +60,7 @@ impl Time {
         self.0.due.set(Some(Instant::now()));
     }
 
-    /// Milliseconds so far.
+    /// Returns the milliseconds so far.
     pub fn now_ms(&self) -> u64 {
         self.0.now_ms.get()
     }
@@ -77,7 +77,7 @@ impl Time {
         self.step();
     }
 
-    /// Lets a millisecond pass.
+    /// Advances the time by one millisecond.
     ///
     /// # Panics
     /// Panics if a program hangs.
@@ -126,9 +126,9 @@ impl Time {
     }
 }
 
-/// How a program takes part.
+/// The way in which a program takes part in the test's time.
 enum Follows {
-    /// It is starting.
+    /// The program is starting.
     NotYet(UnixListener),
     Time(UnixStream),
     /// The program has ended or uses wall-clock time.
@@ -163,12 +163,12 @@ impl Process {
         self.child.borrow_mut()
     }
 
-    /// Its process id.
+    /// Returns the process id.
     pub fn id(&self) -> u32 {
         self.child.borrow().id()
     }
 
-    /// Returns whether the program uses the test's time or has yet to join it.
+    /// Returns whether the program uses the test's time or will join it.
     pub fn follows(&self) -> bool {
         !matches!(*self.follows.borrow(), Follows::Nothing)
     }
@@ -179,7 +179,7 @@ impl Process {
         let _ = Command::new("kill").args([name, &self.id().to_string()]).status();
     }
 
-    /// Ends it.
+    /// Kills the program.
     pub fn kill(&self) {
         let _ = self.child.borrow_mut().kill();
     }

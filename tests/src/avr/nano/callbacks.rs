@@ -17,7 +17,7 @@ pub(super) unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
             ASLEEP.set(ASLEEP.get() + clocks + 1);
         } else {
             (*avr).state = ffi::cpu_Running as i32;
-            // simavr adds them afterwards.
+            // simavr adds the cycles afterwards.
             (*avr).cycle = (*avr).cycle.wrapping_sub(clocks);
         }
     }
@@ -28,17 +28,17 @@ pub(super) unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut
 }
 
 /// # Safety
-/// `param` must be the boxed [`Wires`] of the calling board, as in all callbacks here.
+/// `param` must be the boxed [`Wires`] of the calling board. This applies to all callbacks here.
 unsafe fn wires<'a>(param: *mut c_void) -> &'a Wires {
     // SAFETY: guaranteed by the caller; the board outlives its callbacks.
     unsafe { &*param.cast::<Wires>() }
 }
 
 pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
-    // SAFETY: registered with the board's wires.
+    // SAFETY: this callback was registered with the board's wires as its parameter.
     let wires = unsafe { wires(param) };
-    // The callback occurs when the byte is written. The byte is sent within one byte time.
-    // If the previous byte is still being sent, it takes two, and that byte's time stamp delays ours.
+    // The callback occurs when the program writes the byte, which is sent within one byte time.
+    // If the previous byte is still being sent, this takes two byte times, and the previous byte's time stamp delays ours.
     const CYCLES_ON_WIRE: u64 = 10 * 8 * 17;
     let mut sent = wires.sent.borrow_mut();
     let start = sent.back().map_or(0, |&(at, _)| at).max(wires.cycle());
@@ -46,7 +46,7 @@ pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, para
 }
 
 pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, param: *mut c_void) -> u64 {
-    // SAFETY: registered with the board's wires.
+    // SAFETY: this callback was registered with the board's wires as its parameter.
     let wires = unsafe { wires(param) };
     let due = wires.to_receive.borrow_mut().pop_front();
     if let Some((_, byte)) = due {
@@ -60,7 +60,7 @@ pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, par
 }
 
 pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
-    // SAFETY: registered with the board's wires.
+    // SAFETY: this callback was registered with the board's wires as its parameter.
     let wires = unsafe { wires(param) };
     wires.conversions.set(wires.conversions.get() + 1);
     // struct avr_adc_mux_t { unsigned long kind : 3, gain : 8, diff : 8, src : 13; }
@@ -82,7 +82,7 @@ pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u
 }
 
 pub(super) unsafe extern "C" fn on_admux(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
-    // SAFETY: registered with the board's wires.
+    // SAFETY: this callback was registered with the board's wires as its parameter.
     let wires = unsafe { wires(param) };
     if value >> 6 & 3 != 0 {
         wires.wrong_reference.set(Some(value as u8));
@@ -93,7 +93,7 @@ pub(super) unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, para
     const EEPE: u32 = 1 << 1;
     const EEARL: usize = 0x41;
     const EEDR: usize = 0x40;
-    // SAFETY: registered with the board's wires.
+    // SAFETY: this callback was registered with the board's wires as its parameter.
     let wires = unsafe { wires(param) };
     if value & EEPE != 0 {
         // SAFETY: both registers are in data space.

@@ -1,4 +1,4 @@
-//! Core functions that unicorn lacks: exceptions, sleep, supervisor calls.
+//! Core functions that unicorn lacks: exceptions, sleep and supervisor calls.
 
 use super::super::controller::{CALL_CYCLES, Then};
 use super::*;
@@ -7,15 +7,15 @@ use super::*;
 const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
-/// CONTROL with an active floating-point unit: FPCA and SFPA.
+/// Value of CONTROL with an active floating-point unit: FPCA and SFPA.
 /// Without SFPA, unicorn (in which all code is secure) starts a new context at the next floating-point instruction
 /// and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
-/// From here on an address means the end of a handler.
+/// A jump to this address or a higher one ends a handler.
 const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
 
-/// Bytes of a frame on the stack, with the registers of the floating point unit or without.
+/// Size in bytes of a frame on the stack, with and without the registers of the floating-point unit.
 fn frame_bytes(with_fp: bool) -> u32 {
     if with_fp { 0x68 } else { 0x20 }
 }
@@ -50,7 +50,7 @@ impl Board {
         };
         let mut table = self.soc().nvic.vector_table;
         if self.boot == Boot::SoftDevice && table == 0 {
-            // The table at 0 is that of the MBR, which forwards to S140, which forwards to the application.
+            // The table at 0 belongs to the MBR, which forwards to S140, which forwards to the application.
             table = APPLICATION;
             self.spend(FORWARD_CYCLES);
             let soc = self.soc();
@@ -106,7 +106,7 @@ impl Board {
 
     pub(super) fn execute(&mut self, until: u64) {
         self.uc.get_data_mut().stop = None;
-        // The end of the run also counts as an event.
+        // The requested end of the run also counts as an event.
         let soc = self.soc();
         soc.due = soc.due.min(until);
         let pc = self.reg(RegisterARM::PC) | 1;
@@ -138,7 +138,7 @@ impl Board {
         }
     }
 
-    /// S140's own interrupts end a sleep, and violations of its rules end the run.
+    /// S140's own interrupts end a sleep. If the image violates S140's rules, the run ends.
     ///
     /// # Panics
     /// Panics if the image has violated a rule of S140.
@@ -152,7 +152,7 @@ impl Board {
         }
     }
 
-    /// A function of Nordic's controller begins, or what it called back has returned to its beginning.
+    /// Begins a function of Nordic's controller, or continues it when a function that it called has returned.
     pub(super) fn function_called(&mut self, at: u32) {
         let args = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r));
         let lr = self.reg(RegisterARM::LR);
@@ -166,7 +166,7 @@ impl Board {
             panic!("a rule of Nordic's libraries is broken near {lr:#x}: {broken}");
         }
         match then {
-            // A handler of the image that jumps here, and leaves returning from the exception to this function.
+            // A handler of the image jumped to this function, whose return therefore ends the exception.
             Then::Return { to, .. } if to >= EXCEPTION_RETURNS => self.leave(),
             Then::Return { value, to } => {
                 self.set_reg(RegisterARM::R0, value);

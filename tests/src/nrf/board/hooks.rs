@@ -74,7 +74,7 @@ impl Board {
                 let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
                 if world.painting.contains(&probe) {
-                    // Memory below the stack pointer is unused.
+                    // The memory below the stack pointer is not in use.
                     world.soc.ram.put(stack_pointer - PAINTED as u32, &[PAINT; PAINTED]);
                 }
                 let (at, instructions_before) = (world.soc.now, world.thread_instructions);
@@ -133,7 +133,7 @@ impl Board {
                 0xBF40 => {
                     uc.add_code_hook(at, at, |uc, _, _| uc.get_data_mut().event = true).expect("a hook");
                 }
-                // CPSID and CPSIE; MSR PRIMASK from a register.
+                // These are CPSID, CPSIE, and MSR PRIMASK from a register.
                 0xB672 | 0xB662 => {
                     let masks = half[0] == 0x72;
                     uc.add_code_hook(at, at, move |uc, _, _| uc.get_data_mut().mask(masks)).expect("a hook");

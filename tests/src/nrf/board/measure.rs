@@ -1,4 +1,4 @@
-//! Measurements for tests: calls of functions in instructions, with the contents of registers and memory.
+//! Measurements for tests: instructions per function call, and the contents of registers and memory.
 
 use super::Board;
 
@@ -13,7 +13,7 @@ pub struct Call {
     pub stack_bytes: u32,
 }
 
-/// A measured call under way.
+/// A call that is being measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Open {
     pub(super) back: u32,
@@ -23,18 +23,18 @@ pub(super) struct Open {
     pub(super) stack_pointer: u32,
 }
 
-/// Number of painted bytes below the stack pointer, for measuring the depth of a call.
+/// Number of bytes below the stack pointer that are filled with a pattern, for measuring the depth of a call.
 pub(super) const PAINTED: usize = 2048;
 pub(super) const PAINT: u8 = 0x6B;
 
 /// The data of a tap at one call.
 #[derive(Clone, Debug)]
 pub struct Tapped {
-    /// Cycle of the call.
+    /// Cycle at the start of the call.
     pub at: u64,
-    /// Registers r0 to r3.
+    /// Values of the registers r0 to r3.
     pub registers: [u32; 4],
-    /// Bytes behind r0.
+    /// Bytes to which r0 points.
     pub bytes: Vec<u8>,
 }
 
@@ -56,12 +56,12 @@ impl Board {
         probe
     }
 
-    /// Calls measured so far.
+    /// Returns the calls measured so far.
     pub fn calls(&self, probe: usize) -> &[Call] {
         &self.uc.get_data().calls[probe]
     }
 
-    /// Records the arguments of a function at every call from now on, and `len` bytes at the first one.
+    /// From now on, records the arguments of every call of a function, and `len` bytes to which r0 points.
     pub fn tap(&mut self, function: &str, len: usize) -> usize {
         let address = self.image.function(function);
         let world = self.uc.get_data_mut();
@@ -75,13 +75,13 @@ impl Board {
         &self.uc.get_data().tapped[tap]
     }
 
-    /// Notes from now on where the image panics.
+    /// From now on, records where the image panics.
     pub fn tap_panics(&mut self) -> Option<usize> {
         let handler = self.image.functions_with(&["rust_begin_unwind"]).pop()?;
         Some(self.tap(&handler, 8))
     }
 
-    /// The places in the source at which the image has panicked.
+    /// Returns the places in the source at which the image has panicked.
     pub fn panics(&self, tap: usize) -> Vec<String> {
         let text = |place: u32| -> Option<String> {
             let (start, len) = (self.image.word(place)?, self.image.word(place + 4)?);

@@ -1,10 +1,10 @@
-//! A board whose image has Nordic's controller inside.
+//! A board whose image contains Nordic's controller.
 
 use super::super::controller::Controller;
 use super::{ANSWERED, Board};
 
 impl Board {
-    /// Answers Nordic's controller, which the image has inside, from outside.
+    /// Lets the emulator execute the functions of Nordic's controller, which is linked into the image.
     pub fn answer_controller(&mut self, controller: Controller) {
         let world = self.uc.get_data_mut();
         for address in controller.addresses() {
@@ -14,23 +14,23 @@ impl Board {
         world.soc.settle();
     }
 
-    /// Nordic's controller inside the image.
+    /// Returns the model of Nordic's controller.
     ///
     /// # Panics
-    /// If it is not [answered](Self::answer_controller).
+    /// Panics if the emulator does not [execute the controller](Self::answer_controller).
     pub fn controller(&mut self) -> &mut Controller {
         self.soc().controller.as_mut().expect("the image has a controller")
     }
 
-    /// Whether Nordic's controller inside the image has a connection.
+    /// Returns whether Nordic's controller in the image has a connection.
     pub fn is_connected(&self) -> bool {
         self.uc.get_data().soc.controller.as_ref().is_some_and(|controller| controller.is_connected())
     }
 
-    /// Tells bumble's laptop to do something; the number under which its outcome will stand in the air's log.
+    /// Sends a command to bumble's laptop. Returns the number under which the air's log will contain the result.
     ///
     /// # Panics
-    /// As [`Self::controller`].
+    /// Panics for the same reason as [`Self::controller`].
     pub fn order(&mut self, order: serde_json::Value) -> u64 {
         let soc = self.soc();
         let mut controller = soc.controller.take().expect("the image has a controller");

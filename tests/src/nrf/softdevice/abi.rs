@@ -1,4 +1,4 @@
-//! Numbers and layouts of S140 7.x's interface, from its headers (crate `nrf-softdevice-s140`).
+//! Numbers and memory layouts of the interface of S140 7.x, from its headers (crate `nrf-softdevice-s140`).
 
 use super::super::memory::RAM_START;
 use super::super::soc::Soc;
@@ -74,7 +74,7 @@ pub mod soc_event {
     pub const USB_REMOVED: u32 = 11;
 }
 
-/// Results of calls; 0 is success.
+/// Results of calls. The value 0 means success.
 #[allow(missing_docs, reason = "the names of the headers, less their prefix")]
 pub mod error {
     pub const NOT_ENABLED: u32 = 2;
@@ -111,7 +111,7 @@ pub mod reason {
 /// The return value of a call.
 pub type Answer = Result<(), u32>;
 
-/// Reads memory for a call: arguments may be in RAM or flash, and results only in RAM.
+/// Reads memory for a call. Arguments may be in RAM or flash, but results only in RAM.
 pub fn bytes(soc: &Soc, address: u32, len: usize) -> Result<Vec<u8>, u32> {
     if address >= RAM_START {
         return soc.ram.get(address, len).map(<[u8]>::to_vec).ok_or(error::INVALID_ADDR);
@@ -120,18 +120,18 @@ pub fn bytes(soc: &Soc, address: u32, len: usize) -> Result<Vec<u8>, u32> {
     soc.flash.get(at..at + len).filter(|_| at > 0).map(<[u8]>::to_vec).ok_or(error::INVALID_ADDR)
 }
 
-/// A byte of the application.
+/// Reads a byte of the application's memory.
 pub fn u8_at(soc: &Soc, address: u32) -> Result<u8, u32> {
     Ok(bytes(soc, address, 1)?[0])
 }
 
-/// A half word of the application.
+/// Reads a half word of the application's memory.
 pub fn u16_at(soc: &Soc, address: u32) -> Result<u16, u32> {
     let b = bytes(soc, address, 2)?;
     Ok(u16::from_le_bytes([b[0], b[1]]))
 }
 
-/// A word of the application.
+/// Reads a word of the application's memory.
 pub fn u32_at(soc: &Soc, address: u32) -> Result<u32, u32> {
     let b = bytes(soc, address, 4)?;
     Ok(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
@@ -147,14 +147,14 @@ pub fn put(soc: &mut Soc, address: u32, data: &[u8]) -> Answer {
 pub struct SocEvent(Vec<u8>);
 
 impl SocEvent {
-    /// Creates a GAP event for a connection, whose parameters begin at a multiple of 4.
+    /// Creates a GAP event for a connection. Its parameters begin at a multiple of 4.
     pub fn gap(number: u16, connection: u16) -> Self {
         let mut event = Self::gatts(number, connection);
         event.0.extend([0, 0]);
         event
     }
 
-    /// An event of the GATT server for a connection.
+    /// Creates an event of the GATT server for a connection.
     pub fn gatts(number: u16, connection: u16) -> Self {
         let mut event = Self(Vec::new());
         for half in [number, 0, connection] {
@@ -189,7 +189,7 @@ mod tests {
 
     #[test]
     fn events_have_the_offsets_of_the_headers() {
-        // ble_evt_t.evt 4, ble_gap_evt_t.params 4, ble_gatts_evt_t.params 2, ble_gatts_evt_write_t.data 12.
+        // Offsets: ble_evt_t.evt 4, ble_gap_evt_t.params 4, ble_gatts_evt_t.params 2, ble_gatts_evt_write_t.data 12.
         let gap = SocEvent::gap(event::DISCONNECTED, 0).with(&[0x13]).finish();
         assert_eq!(gap, [17, 0, 9, 0, 0, 0, 0, 0, 0x13]);
         let write = SocEvent::gatts(event::WRITE, 0)

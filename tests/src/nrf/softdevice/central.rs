@@ -1,19 +1,19 @@
-//! A laptop's Bluetooth: finds the board, connects, pairs, subscribes, writes, and records events.
+//! Simulates a laptop's Bluetooth, which finds the board, connects, pairs, subscribes, writes, and records events.
 //!
-//! Tests supply [`Command`]s, which it executes in order during connection events, and read [`Happening`]s.
+//! Tests add [`Command`]s, which the laptop executes in order during connection events, and read [`Happening`]s.
 
 use std::collections::VecDeque;
 
-/// The next actions of the laptop.
+/// An action that the laptop performs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Asks for a larger ATT MTU.
+    /// Requests a larger ATT MTU.
     ExchangeMtu(u16),
-    /// Asks for the 2 Mbit/s radio.
+    /// Requests the radio rate of 2 Mbit/s.
     FastRadio,
     /// Turns notifications on or off.
     Subscribe(bool),
-    /// Pairs again, and stores the keys (bonding) or not.
+    /// Pairs again, with or without storing the keys (bonding).
     Pair {
         /// Whether both sides store the keys.
         bond: bool,
@@ -28,41 +28,41 @@ pub enum Command {
     Disconnect,
 }
 
-/// An event on the laptop's side.
+/// An event that the laptop notices.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happening {
     /// The link is established with this interval in units of 1.25 ms.
     Connected(u16),
-    /// The link ended for this reason of [`super::abi::reason`].
+    /// The link ended for one of the reasons in [`super::abi::reason`].
     Disconnected(u8),
-    /// The board requested an interval between these, in units of 1.25 ms.
-    /// It also requested this latency and supervision timeout (10 ms).
+    /// The board requested an interval within this range, in units of 1.25 ms.
+    /// It also requested this latency, and a supervision timeout in units of 10 ms.
     AskedFor {
-        /// Shortest.
+        /// Shortest interval.
         min: u16,
-        /// Longest.
+        /// Longest interval.
         max: u16,
-        /// Number of events that the board may sleep through.
+        /// Number of events that the board may skip.
         latency: u16,
-        /// Duration of silence that ends the link.
+        /// Supervision timeout: silence of this duration ends the link.
         supervision: u16,
-        /// The laptop agreed.
+        /// Whether the laptop agreed.
         granted: bool,
     },
     /// A new interval is used, in units of 1.25 ms.
     Interval(u16),
-    /// The ATT MTU.
+    /// The ATT MTU has this new value.
     Mtu(u16),
-    /// Bytes per radio packet.
+    /// A radio packet may have this many bytes.
     DataLength(u16),
-    /// Pairing is done.
+    /// The pairing is complete.
     Paired {
-        /// The keys are kept.
+        /// Whether the keys are stored.
         bonded: bool,
     },
     /// The link is encrypted with stored keys.
     Encrypted,
-    /// The board does not have the keys (any more).
+    /// The board does not have the keys, or no longer has them.
     KeyMissing,
     /// The board answered the subscription.
     Subscribed(bool),
@@ -75,18 +75,18 @@ pub enum Happening {
 pub struct Bond {
     /// The long term key.
     pub key: [u8; 16],
-    /// Its number.
+    /// The number of the key (EDIV).
     pub diversifier: u16,
-    /// And its random number.
+    /// The random number of the key.
     pub random: [u8; 8],
 }
 
-/// An advertisement as heard.
+/// A received advertisement.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Heard {
-    /// Advertising data.
+    /// Advertising data of the board.
     pub data: Vec<u8>,
-    /// Scan response.
+    /// Scan response of the board.
     pub response: Vec<u8>,
 }
 
@@ -107,10 +107,10 @@ impl Heard {
     }
 }
 
-/// The laptop.
+/// The simulated laptop.
 #[derive(Clone, Debug)]
 pub struct Central {
-    /// Its address.
+    /// The laptop's Bluetooth address.
     pub address: [u8; 6],
     /// Whether the laptop's radio is in range.
     pub in_range: bool,
@@ -118,23 +118,23 @@ pub struct Central {
     pub connects: bool,
     /// Interval of new connections in units of 1.25 ms.
     pub first_interval: u16,
-    /// Shortest interval that the laptop grants, in units of 1.25 ms.
+    /// Shortest interval that the laptop accepts, in units of 1.25 ms.
     pub shortest_interval: u16,
     /// Whether the laptop supports long radio packets.
     pub long_packets: bool,
     /// Whether the laptop's radio answers LE Ping, as nearly all current radios do.
     pub answers_radio_pings: bool,
-    /// Commands that are not executed yet.
+    /// Commands that the laptop has not executed yet.
     pub commands: VecDeque<Command>,
-    /// Events with their cycles.
+    /// Events with the cycles at which they occurred.
     pub log: Vec<(u64, Happening)>,
-    /// Notifications with the cycle at which each was complete.
+    /// Notifications, each with the cycle at which it was complete.
     pub notified: Vec<(u64, Vec<u8>)>,
-    /// The last advertisement.
+    /// The last advertisement that was received.
     pub heard: Option<Heard>,
-    /// Advertisements so far.
+    /// Number of advertisements so far.
     pub advertisements: u64,
-    /// Keys of the board.
+    /// Keys that are shared with the board.
     pub bond: Option<Bond>,
     lost_at: Option<u64>,
     connected: bool,
@@ -146,7 +146,7 @@ impl Default for Central {
             address: [0x11, 0x22, 0x33, 0x44, 0x55, 0xC6],
             in_range: true,
             connects: false,
-            // Linux's default: 30 ms, or the interval that a peripheral requests.
+            // Linux grants 30 ms by default, or the interval that a peripheral requests.
             first_interval: 24,
             shortest_interval: 6,
             long_packets: true,
@@ -164,12 +164,12 @@ impl Default for Central {
 }
 
 impl Central {
-    /// Gives commands.
+    /// Adds commands for the laptop.
     pub fn order(&mut self, commands: impl IntoIterator<Item = Command>) {
         self.commands.extend(commands);
     }
 
-    /// Whether it has a link.
+    /// Returns whether the laptop has a link.
     pub fn is_connected(&self) -> bool {
         self.connected
     }
@@ -193,7 +193,7 @@ impl Central {
         self.commands.clear();
     }
 
-    /// The board is silent after a restart; the laptop notices this at the given cycle.
+    /// The board is silent after a restart, which the laptop notices at the given cycle.
     pub(super) fn silence(&mut self, noticed_at: u64) {
         self.lost_at = Some(noticed_at);
         self.left();

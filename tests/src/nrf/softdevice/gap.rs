@@ -20,7 +20,7 @@ pub(super) struct AdvertisingSet {
     interval: u64,
 }
 
-/// Advertising under way.
+/// Advertising that is in progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Beacon {
     pub(super) next: u64,
@@ -34,7 +34,7 @@ pub(super) struct Keyset {
     peer_identity: u32,
 }
 
-/// A pairing under way.
+/// A pairing that is in progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pairing {
     keyset: Keyset,
@@ -186,7 +186,7 @@ impl SoftDevice {
         let interval = self.central.first_interval;
         let link = Connection::new(at, interval);
         let [min, max, latency, supervision] = link.parameters.as_halves();
-        // A random static address.
+        // The laptop's address is random and static.
         let connected = SocEvent::gap(event::CONNECTED, HANDLE)
             .with(&[1 << 1])
             .with(&self.central.address)
@@ -200,7 +200,7 @@ impl SoftDevice {
     }
 
     fn data_length(&mut self, handle: u32, wanted: u32, limits: u32, soc: &mut Soc) -> Answer {
-        // The time of two packets of maximum length with their acknowledgements.
+        // Returns the time of two packets of maximum length with their acknowledgements.
         let room = us(1250 * u64::from(self.config.event_length)) >= us(2 * (2120 + 150));
         let mtu = self.config.mtu;
         let long = self.central.long_packets;
@@ -254,7 +254,7 @@ impl SoftDevice {
     pub(super) fn encrypted(&mut self, soc: &mut Soc) {
         let link = self.link.as_mut().expect("a link");
         link.encrypted = true;
-        // Security mode 1, level 2; a key of 16 bytes.
+        // The link has security mode 1, level 2, and a key of 16 bytes.
         let update = SocEvent::gap(event::CONN_SEC_UPDATE, HANDLE).with(&[2 << 4 | 1, 16]);
         self.raise(update.finish(), &mut soc.nvic);
     }
@@ -296,7 +296,7 @@ impl SoftDevice {
             self.central.bond = Some(bond);
         }
         let bonded = u8::from(pairing.bond);
-        // Success; levels 1 and 2 of mode 1; own key and peer identity were distributed.
+        // The pairing succeeded with levels 1 and 2 of mode 1; the board's own key and the peer's identity were distributed.
         let status =
             SocEvent::gap(event::AUTH_STATUS, HANDLE).with(&[0, bonded << 2, 3, 0, bonded, bonded << 1]);
         self.raise(status.finish(), &mut soc.nvic);

@@ -9,23 +9,23 @@ use super::{SoftDevice, central::Happening};
 const OWN_HANDLES: u16 = 13;
 /// Approximate size of S140's own services in the table, in bytes.
 const OWN_BYTES: u32 = 200;
-/// Approximate size of an attribute besides its value, in bytes.
+/// Approximate size of an attribute without its value, in bytes.
 const ATTRIBUTE_BYTES: u32 = 24;
 const CCCD: u16 = 0x2902;
 const WRITE_REQUEST: u8 = 1;
 const WRITE_COMMAND: u8 = 2;
 
-/// ATT errors.
+/// Error codes of ATT.
 const ATT_WRITE_NOT_PERMITTED: u8 = 0x03;
 const ATT_INSUFFICIENT_AUTHENTICATION: u8 = 0x05;
 const ATT_INVALID_LENGTH: u8 = 0x0D;
 
-/// Properties of a characteristic, bits of the headers.
+/// Properties of a characteristic, as bits of the headers.
 const CAN_WRITE_COMMAND: u8 = 1 << 2;
 const CAN_WRITE: u8 = 1 << 3;
 const CAN_NOTIFY: u8 = 1 << 4;
 
-/// Security that a write needs.
+/// The security that a write requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Permission {
     Never,
@@ -54,7 +54,7 @@ struct Characteristic {
     value: Vec<u8>,
 }
 
-/// The application's services.
+/// The services of the application.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
     next: u16,
@@ -279,7 +279,7 @@ impl SoftDevice {
         Some(true)
     }
 
-    /// The laptop writes a frame.
+    /// Processes a frame that the laptop writes.
     pub(super) fn written(&mut self, data: &[u8], with_response: bool, soc: &mut Soc) -> Result<(), u8> {
         let (property, operation) =
             if with_response { (CAN_WRITE, WRITE_REQUEST) } else { (CAN_WRITE_COMMAND, WRITE_COMMAND) };

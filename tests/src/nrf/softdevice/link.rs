@@ -1,4 +1,4 @@
-//! A connection: its events, their participants and contents, and its end.
+//! A connection with its connection events, the packets in them, and its end.
 
 use std::collections::VecDeque;
 
@@ -11,11 +11,11 @@ use super::{SoftDevice, rules};
 
 /// Handle of the only connection.
 pub(super) const HANDLE: u16 = 0;
-/// A unit of the interval.
+/// Unit of the connection interval.
 const UNIT: u64 = us(1250);
-/// After this long without an authenticated packet, S140 raises a timeout. (Empty acknowledgements do not count.)
+/// S140 raises a timeout if it gets no authenticated packet for this long. (Empty acknowledgements do not count.)
 const PAYLOAD_TIMEOUT: u64 = ms(480_000);
-/// Its source.
+/// Source of this timeout.
 const AUTHENTICATED_PAYLOAD: u8 = 3;
 /// Maximum number of write commands in one connection event.
 const COMMANDS_PER_EVENT: usize = 4;
@@ -57,13 +57,13 @@ impl Parameters {
     }
 }
 
-/// The connection.
+/// The state of the connection.
 #[derive(Clone, Debug)]
 pub(super) struct Connection {
     pub(super) parameters: Parameters,
     pub(super) next_event: u64,
     heard_at: u64,
-    /// Time of the laptop's last packet with content.
+    /// Time at which the laptop's last packet with content arrived.
     content_at: u64,
     skipped: u16,
     pub(super) mtu: u16,
@@ -81,9 +81,9 @@ pub(super) struct Connection {
     pub(super) attributes_asked: bool,
     pub(super) subscribed: bool,
     pub(super) queue: VecDeque<Vec<u8>>,
-    /// The board's request, and the number of link events until the laptop answers.
+    /// The request of the board, and the number of connection events until the laptop answers it.
     pub(super) asked: Option<(Parameters, u8)>,
-    /// New parameters, and the number of link events until they apply.
+    /// The new parameters, and the number of connection events until they apply.
     pub(super) update: Option<(Parameters, u8)>,
     pub(super) closing: Option<u8>,
 }
@@ -196,7 +196,7 @@ impl SoftDevice {
             if at - link.heard_at > link.supervision_cycles() {
                 self.end_link(reason::TIMEOUT, Happening::Disconnected(reason::TIMEOUT), soc);
             } else if !held {
-                // It listened in vain.
+                // The board listened, but the laptop sent nothing.
                 self.spend(rules::connection_event(0), soc);
             }
             return;
@@ -250,7 +250,7 @@ impl SoftDevice {
         }
     }
 
-    /// Checks whether the laptop's packets prove that it still has the keys.
+    /// Checks whether the laptop's packets show that it still has the keys.
     fn payload_step(&mut self, came: bool, at: u64, soc: &mut Soc) {
         let answers = self.central.answers_radio_pings;
         let link = self.link.as_mut().expect("a link");
@@ -297,7 +297,7 @@ impl SoftDevice {
         let mut commands = 0;
         loop {
             let link = self.link.as_ref().expect("a link");
-            // One procedure at a time.
+            // Only one procedure may run at a time.
             let busy = link.mtu_asked.is_some()
                 || link.pairing_asked.is_some()
                 || link.pairing.is_some()
@@ -338,7 +338,7 @@ impl SoftDevice {
                 }
                 Command::Pair { bond } => {
                     self.link.as_mut().expect("a link").pairing_asked = Some(bond);
-                    // No input and no output; keys of 7 to 16 bytes; encryption and identity keys in both directions.
+                    // The laptop has no input and no output, keys of 7 to 16 bytes, and sends encryption and identity keys in both directions.
                     let flags = u8::from(bond) | 3 << 4;
                     let request =
                         SocEvent::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);
@@ -416,7 +416,7 @@ mod tests {
         let long = link.air_time(244);
         link.fast = true;
         assert!(slow > long && long > link.air_time(244));
-        // 261 bytes at 1 Mbit/s, the gap, an empty packet, the gap.
+        // The event consists of 261 bytes at 1 Mbit/s, a gap, an empty packet, and another gap.
         assert_eq!(long, us(8 * 261 + 150 + 80 + 150));
     }
 }

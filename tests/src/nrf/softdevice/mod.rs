@@ -1,10 +1,10 @@
-//! A model of Nordic's SoftDevice S140 7.x, with the calls that the image uses, and of a connected laptop.
+//! Models Nordic's SoftDevice S140 7.x, with the calls that the image uses, and a connected laptop.
 //!
 //! S140 is below the image in flash, owns the vector table at 0 and the radio, and is called by SVC.
-//! Here, its calls run outside the emulated core: they read arguments from the image's memory, answer,
+//! Here, the calls run outside the emulated core: they read arguments from the image's memory, return results,
 //! and raise events.
 //! The image fetches these events after interrupt 22 (SWI2).
-//! [`rules`] records actions that S140 forbids, which fail the run.
+//! [`rules`] records actions that S140 forbids, which make the test fail.
 //! The model omits the radio itself (packets either arrive or not), privacy, LE Secure Connections and central roles.
 
 use std::collections::{BTreeMap, VecDeque};
@@ -36,13 +36,13 @@ pub const APPLICATION: u32 = 0x27000;
 /// The state of the core at a call.
 #[derive(Clone, Copy, Debug)]
 pub struct Core {
-    /// r0 to r3.
+    /// The registers r0 to r3.
     pub args: [u32; 4],
-    /// The stack pointer.
+    /// The stack pointer of the caller.
     pub sp: u32,
-    /// Interrupts are masked.
+    /// Whether interrupts are masked.
     pub masked: bool,
-    /// First address after the image's statics.
+    /// First address after the statics of the image.
     pub statics_end: u32,
 }
 
@@ -64,13 +64,13 @@ pub struct SoftDevice {
     set: Option<AdvertisingSet>,
     beacon: Option<Beacon>,
     link: Option<Connection>,
-    /// The laptop.
+    /// The laptop that is in radio range.
     pub central: Central,
     /// The rules that the image has violated.
     pub rules: Rules,
     /// Number of calls so far, by call number.
     pub calls: BTreeMap<u8, u64>,
-    /// Cycles spent in S140's own interrupts.
+    /// Number of cycles spent in S140's own interrupts.
     pub own_cycles: u64,
     /// Whether an interrupt of S140 ran, which wakes a sleeping core.
     pub woke: bool,
@@ -94,7 +94,7 @@ impl SoftDevice {
         self.enabled_at.is_some()
     }
 
-    /// Whether the board advertises.
+    /// Returns whether the board advertises.
     pub fn is_advertising(&self) -> bool {
         self.beacon.is_some()
     }
@@ -136,7 +136,7 @@ impl SoftDevice {
     fn check_core(&mut self, number: u8, core: Core, soc: &mut Soc) {
         let calls_at = i32::from(rules::CALL_PRIORITY) << 5;
         if core.masked || soc.nvic.running() <= calls_at {
-            // The core escalates such an SVC to a hard fault.
+            // The core escalates an SVC in this state to a hard fault.
             self.rules.broke(format!("call {number} with interrupts masked or from priority 4 or above"));
         }
         let lowest = core.sp.saturating_sub(rules::STACK_BYTES);
@@ -175,7 +175,7 @@ impl SoftDevice {
         }
         let c = &mut self.config;
         match id {
-            // Connection configurations begin with a tag.
+            // A connection configuration begins with a tag.
             32..=36 => {
                 let tag = u8_at(soc, config)?;
                 if tag == 0 || c.tag.is_some_and(|t| t != tag) {
@@ -232,7 +232,7 @@ impl SoftDevice {
             self.rules.broke(format!("S140 needs RAM up to {wanted:#x}, the image's begins below"));
             return Err(error::NO_MEM);
         }
-        // From now on, this RAM belongs to S140.
+        // From now on, the first part of RAM belongs to S140.
         soc.ram.put(super::memory::RAM_START, &vec![0x5D; (wanted - super::memory::RAM_START) as usize]);
         self.table = Table::new(self.config.table);
         self.ble = true;
@@ -262,7 +262,7 @@ impl SoftDevice {
     fn uuid_add(&mut self, [base, kind, ..]: [u32; 4], soc: &mut Soc) -> Answer {
         let mut uuid: [u8; 16] =
             abi::bytes(soc, base, 16)?.try_into().map_err(|_: Vec<u8>| error::INVALID_ADDR)?;
-        // These two bytes contain the short form.
+        // These two bytes contain the short form of the UUID.
         uuid[12..14].fill(0);
         let index = match self.uuids.iter().position(|u| *u == uuid) {
             Some(index) => index,
@@ -275,7 +275,7 @@ impl SoftDevice {
         put(soc, kind, &[index as u8 + 2])
     }
 
-    /// Returns the full UUID of a short one with its type.
+    /// Returns the full UUID for a short one with its type.
     fn whole_uuid(&self, short: u16, kind: u8) -> Option<[u8; 16]> {
         let mut uuid = *self.uuids.get(usize::from(kind).checked_sub(2)?)?;
         uuid[12..14].copy_from_slice(&short.to_le_bytes());
@@ -292,7 +292,7 @@ impl SoftDevice {
         nvic.pend(rules::EVENT_IRQ);
     }
 
-    /// Accounts for the core's time in S140's own interrupts.
+    /// Accounts for the time of the core in S140's own interrupts.
     fn spend(&mut self, cycles: u64, soc: &mut Soc) {
         soc.now += cycles;
         soc.awake += cycles;

@@ -1,20 +1,20 @@
-//! The rules of S140 for applications, and its use of RAM and time.
+//! The rules that S140 sets for applications, and its use of RAM and time.
 
 use std::collections::BTreeMap;
 
 use super::super::nvic::Nvic;
 use super::super::time::us;
 
-/// S140's interrupts: POWER_CLOCK, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM_AAR, SWI5.
+/// Interrupts of S140: POWER_CLOCK, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM_AAR, SWI5.
 pub const OWN_IRQS: u64 =
     1 << 0 | 1 << 1 | 1 << 8 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 15 | 1 << 25;
-/// The interrupt that announces waiting events (SWI2_EGU2).
+/// The interrupt that announces new events (SWI2_EGU2).
 pub const EVENT_IRQ: usize = 22;
-/// The priority of this interrupt, and of the calls.
+/// The priority of this interrupt.
 pub const EVENT_PRIORITY: u8 = 6;
 /// Priority of the calls.
 pub const CALL_PRIORITY: u8 = 4;
-/// Priorities of S140's own work.
+/// Priorities that S140 uses itself.
 const OWN_PRIORITIES: [u8; 3] = [0, 1, 4];
 /// S140's peripherals by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1, EGU2 and EGU5,
 /// NVMC with ACL, MWU.
@@ -36,46 +36,46 @@ const PAGE_NAMES: [&str; 13] = [
     "MWU",
 ];
 /// Maximum time for which PRIMASK may delay S140's interrupts. Nordic does not specify it.
-/// A radio packet's turn-around takes 150 us, most of which S140 needs.
+/// A radio packet has a turn-around time of 150 us, most of which S140 needs.
 pub const LONGEST_PRIMASK: u64 = us(10);
 /// Maximum stack use of S140 in the application's stack, from its specification.
 pub const STACK_BYTES: u32 = 0x700;
-/// Cycles of one call, including S140's own handler and its checks.
+/// Number of cycles of one call, including S140's own handler and its checks.
 pub const CALL_CYCLES: u64 = us(5);
-/// Cycles for forwarding an interrupt to the application's table.
+/// Number of cycles for forwarding an interrupt to the application's table.
 pub const FORWARD_CYCLES: u64 = 40;
 
 /// Time that S140 takes from the core in a connection event.
 /// The values are typical ones from the SoftDevice specification ("BLE peripheral connection processor usage
 /// patterns"):
-/// prepare 40, start 18, after a packet 30, at the end 90 us, and 40 us at priority 4 per packet.
+/// The times are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end, and 40 per packet at priority 4.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }
 
-/// Time of an advertising event on three channels: prepare, three packets, end.
+/// Processor time of an advertising event on three channels: preparation, three packets, end.
 pub const ADVERTISING_EVENT: u64 = us(40 + 3 * (18 + 30) + 90);
 
-/// Configuration as set by `sd_ble_cfg_set`.
+/// The configuration that `sd_ble_cfg_set` has set.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Tags of connection configurations.
     pub tag: Option<u8>,
-    /// Connections.
+    /// Number of connections.
     pub links: u32,
     /// Radio time of a connection event in units of 1.25 ms.
     pub event_length: u16,
-    /// Largest ATT MTU.
+    /// The largest ATT MTU.
     pub mtu: u16,
-    /// Notifications that may wait.
+    /// Number of notifications that may be queued.
     pub notifications: usize,
-    /// Vendor UUIDs.
+    /// Number of vendor UUIDs.
     pub uuids: usize,
-    /// Bytes of the attribute table.
+    /// Size of the attribute table in bytes.
     pub table: u32,
-    /// The device name.
+    /// Size of the device name.
     pub name: Vec<u8>,
-    /// Roles as peripheral.
+    /// Number of roles as a peripheral.
     pub peripherals: u8,
 }
 
@@ -96,23 +96,23 @@ impl Default for Config {
 }
 
 impl Config {
-    /// RAM that S140 needs from its start. Nordic documents no formula, so this is an estimate above all known figures.
-    /// They are 5.6 KB without a link, 11 to 16 KB for one link with MTU 247,
-    /// and 56 KB for five links with 9 notifications.
+    /// RAM that S140 needs from its start. Nordic documents no formula, so this estimate is above all known figures.
+    /// These figures are 5.6 KB without a link, and 11 to 16 KB for one link with MTU 247.
+    /// For five links with 9 notifications, the figure is 56 KB.
     pub fn ram_bytes(&self) -> u32 {
         let link = 1500 + (24 + self.notifications as u32) * (u32::from(self.mtu) + 20);
         5752 + self.table + 16 * self.uuids as u32 + self.links * link
     }
 }
 
-/// Violated rules with their number of occurrences.
+/// Violated rules, each with the number of violations.
 #[derive(Clone, Debug, Default)]
 pub struct Rules {
     broken: BTreeMap<String, u64>,
 }
 
 impl Rules {
-    /// Notes a broken rule.
+    /// Records the violation of a rule.
     pub fn broke(&mut self, what: impl Into<String>) {
         *self.broken.entry(what.into()).or_default() += 1;
     }
@@ -172,7 +172,7 @@ impl Rules {
         }
     }
 
-    /// Checks an interrupt of the application that is about to run.
+    /// Checks an interrupt whose handler in the application is about to run.
     pub fn interrupt(&mut self, irq: usize, nvic: &Nvic) {
         if OWN_IRQS & (1 << irq) != 0 {
             self.broke(format!("interrupt {irq} is S140's, the image has it enabled"));
@@ -214,7 +214,7 @@ mod tests {
             assert!(breaks(|r| r.access(page + 0x504, None)), "{page:#x}");
             assert!(breaks(|r| r.access(page + 0x504, Some(1))), "{page:#x}");
         }
-        // UARTE0, TWIM0, RTC1, TIMER1, WDT, USBD.
+        // The interrupts of UARTE0, TWIM0, RTC1, TIMER1, WDT and USBD.
         for page in [0x4000_2000, 0x4000_3000, 0x4001_1000, 0x4000_9000, 0x4001_0000, 0x4002_7000] {
             assert!(!breaks(|r| r.access(page + 0x504, Some(1))), "{page:#x}");
         }

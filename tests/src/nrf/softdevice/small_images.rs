@@ -1,4 +1,4 @@
-//! Images of a few instructions that respect or violate S140's rules. The model must distinguish them.
+//! Images of a few instructions that obey or violate S140's rules. The model must distinguish them.
 
 use super::APPLICATION;
 use crate::nrf::board::{Board, Boot};
@@ -6,7 +6,7 @@ use crate::nrf::image::Image;
 use crate::nrf::lsm9ds1::Still;
 use crate::nrf::memory::RAM_START;
 
-/// movs r0, #0; movs r1, #1 (an odd address as fault handler); svc 16.
+/// The code is: movs r0, #0; movs r1, #1 (an odd address as fault handler); svc 16.
 const ENABLE: [u16; 3] = [0x2000, 0x2101, 0xDF10];
 /// b .
 const STAY: u16 = 0xE7FE;
@@ -31,7 +31,7 @@ fn an_image_that_only_enables_s140_breaks_nothing() {
     assert_eq!(board.softdevice().calls[&16], 1);
 }
 
-/// movs r2, #0x40; lsls r2, #24; movs r3, #4; lsls r3, #8; ldr r3, [r2, r3]: reads POWER at 0x40000400.
+/// This code reads POWER at 0x40000400: movs r2, #0x40; lsls r2, #24; movs r3, #4; lsls r3, #8; ldr r3, [r2, r3].
 const READ_POWER: [u16; 5] = [0x2240, 0x0612, 0x2304, 0x021B, 0x58D3];
 
 #[test]
@@ -69,9 +69,9 @@ fn calls_need_interrupts() {
 
 #[test]
 fn s140_refuses_to_start_where_an_interrupt_has_its_priority() {
-    // RTC1's interrupt enabled at priority 0: r2 = 0xE0000000, r3 = 0xE100, r4 = 1 << 17, str r4, [r2, r3].
+    // Enables RTC1's interrupt at priority 0: r2 = 0xE0000000, r3 = 0xE100, r4 = 1 << 17, str r4, [r2, r3].
     let enable_rtc1 = [0x22E0, 0x0612, 0x23E1, 0x021B, 0x2401, 0x0464, 0x50D4];
-    // movs r2, #0x20; lsls r2, #24; str r0, [r2]: stores the answer in RAM.
+    // This code stores the answer in RAM: movs r2, #0x20; lsls r2, #24; str r0, [r2].
     let keep_answer = [0x2220, 0x0612, 0x6010];
     let mut board = run(&[&enable_rtc1[..], &ENABLE, &keep_answer].concat());
     assert_eq!(board.soc().ram.word(RAM_START), super::abi::error::INTERRUPT_CONFIGURATION);
@@ -81,7 +81,8 @@ fn s140_refuses_to_start_where_an_interrupt_has_its_priority() {
 #[test]
 #[should_panic(expected = "S140 needs RAM")]
 fn an_image_whose_ram_begins_too_low_is_told_so() {
-    // r2 = 0x20000000; r3 = 0x20001000, the image's RAM, stored at r2 + 64; r0 = r2 + 64; svc 96 (sd_ble_enable).
+    // This code stores the start of the image's RAM (r3 = 0x20001000) at r2 + 64, sets r0 = r2 + 64, and calls
+    // svc 96 (sd_ble_enable).
     let ble_enable = [0x2220, 0x0612, 0x2301, 0x031B, 0x189B, 0x6413, 0x2040, 0x1880, 0xDF60];
     run(&[&ENABLE[..], &ble_enable].concat());
 }

@@ -1,4 +1,4 @@
-//! Calls that replace the chip's peripherals: flash, random numbers, power, clock, USB power.
+//! Calls that replace direct use of the chip's peripherals: flash, random numbers, power, clock, USB power.
 
 use super::super::flash::PAGE;
 use super::super::soc::Soc;
@@ -8,9 +8,9 @@ use super::abi::{Answer, bytes, call, error, put, soc_event};
 use super::{APPLICATION, SoftDevice};
 use crate::nrf::memory::FLASH_BYTES;
 
-/// Time from a flash call until the radio leaves room for it.
+/// Time from a flash call until the radio leaves enough time for it.
 const FLASH_WAIT: u64 = ms(3);
-/// Overhead of S140 before and after, which is at most 500 us by its specification.
+/// Overhead of S140 before and after the operation, which is at most 500 us according to its specification.
 const FLASH_OVERHEAD: u64 = us(450);
 /// Time for adding one byte to S140's pool of random numbers.
 const RANDOM_BYTE: u64 = us(130);
@@ -25,7 +25,7 @@ enum What {
     Write { to: u32, from: u32, words: u32 },
 }
 
-/// A flash operation under way.
+/// A flash operation that is in progress.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FlashJob {
     what: What,
@@ -34,7 +34,7 @@ pub(super) struct FlashJob {
     result: Option<u32>,
 }
 
-/// The USB power events that the application has enabled.
+/// The events of USB power that the application has enabled.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UsbEvents {
     detected: bool,
@@ -57,7 +57,7 @@ impl SoftDevice {
         let [a, b, c, _] = args;
         match number {
             call::EVT_GET => {
-                // The lowest event number is reported first, independent of the order of occurrence.
+                // The event with the lowest number is reported first, regardless of the order in which events occurred.
                 let event = self.soc_events.iter().copied().min().ok_or(error::NOT_FOUND)?;
                 self.soc_events.retain(|&other| other != event);
                 put(soc, a, &event.to_le_bytes())
@@ -154,7 +154,7 @@ impl SoftDevice {
         match job.what {
             What::Erase { page } => soc.nvmc.erase(&mut soc.flash, page as usize * PAGE, now),
             What::Write { to, from, words } => {
-                // The data is read now and not at the time of the call.
+                // The data is read at this moment, and not at the time of the call.
                 let data = bytes(soc, from, words as usize * 4).unwrap_or_default();
                 for (i, word) in data.chunks_exact(4).enumerate() {
                     let word = u32::from_le_bytes([word[0], word[1], word[2], word[3]]);
