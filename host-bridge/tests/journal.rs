@@ -245,15 +245,16 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
     live.tap_mut().add(Box::new(recorder));
     let mut planned_ms = None;
     for now_ms in (80..9_000).step_by(2) {
-            // The thread gets its time; here the session stands still for it.
-        match now_ms {
-            2_000 => live.press(HandKey::Gesture(2), now_ms),
-            5_000 => {
-                let began = Instant::now();
-                while !live.door().plan_is_ready() && live.door().arm().at_rest() {
-                    assert!(began.elapsed() < Duration::from_secs(240));
-                    std::thread::sleep(Duration::from_millis(1));
-                }
+        if now_ms == 2_000 {
+            live.press(HandKey::Gesture(2), now_ms);
+        }
+        if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
+            // The planner's thread gets time to plan; the session's time stands still meanwhile.
+            let since_ms = *planned_ms.get_or_insert(now_ms);
+            let began = Instant::now();
+            while now_ms == since_ms + 500 && !live.door().plan_is_ready() {
+                assert!(began.elapsed() < Duration::from_secs(240));
+                std::thread::sleep(Duration::from_millis(1));
             }
         }
         live.advance(now_ms, [true; 2]);

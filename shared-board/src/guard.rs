@@ -38,22 +38,19 @@ impl Guard {
                 _ => false,
             };
         }
-        // The host stack has the beginning of another packet. It would mistake this fragment for its end, or refuse all others.
-        if self.left > 0 {
-            return false;
-        }
         let [l0, l1, c0, c1, ref content @ ..] = *fragment else { return false };
         let length = usize::from(u16::from_le_bytes([l0, l1]));
         let Some(left) = length.checked_sub(content.len()).filter(|_| length <= LONGEST) else {
             return false;
         };
         let is_sound = match u16::from_le_bytes([c0, c1]) {
-            ATT => content.first().is_some_and(|&opcode| is_att(opcode, length)),
+            ATT => is_att(content, length),
             SIGNALLING => is_signal(content, length),
             SECURITY => content.first().is_some_and(|&code| is_security(code, length)),
             _ => false,
         };
-        if is_sound {
+        // Where the host has the beginning of another packet, it hangs up at this one: nobody who is sane sends it.
+        if is_sound && self.left == 0 {
             self.left = left;
         }
         is_sound
@@ -66,15 +63,19 @@ impl Guard {
 }
 
 /// Requests and commands. The board sends no requests, so it expects no answers. The host stack refuses other packets itself.
-fn is_att(opcode: u8, length: usize) -> bool {
+fn is_att(content: &[u8], length: usize) -> bool {
+    let [opcode, ref rest @ ..] = *content else { return false };
     match opcode {
-        0x02 | 0x0A => length == 3,
+        // The smallest MTU is 23.
+        0x02 => length == 3 && matches!(*rest, [low, high] if u16::from_le_bytes([low, high]) >= 23),
+        0x0A => length == 3,
         0x04 | 0x0C => length == 5,
         0x06 => length >= 7,
         // The host stack has no room for the long type of a group.
         0x10 => length == 7,
         0x08 => length == 7 || length == 21,
-        0x0E => length >= 5 && length % 2 == 1,
+        // A request for several values has at least two handles.
+        0x0E | 0x20 => length >= 5 && length % 2 == 1,
         0x12 | 0x52 => length >= 3,
         0x16 => length >= 5,
         0x18 => length == 2,
@@ -90,12 +91,12 @@ fn is_signal(content: &[u8], length: usize) -> bool {
     says + HEADER == length && (code == 0x01 && says >= 2 || code == 0x13 && says == 2)
 }
 
+/// What the side that asks for pairing sends. With secure connections it hands out no keys but its identity's.
 fn is_security(code: u8, length: usize) -> bool {
     let right = match code {
-        0x01 | 0x02 => 7,
-        0x03 | 0x04 | 0x06 | 0x08 | 0x0A | 0x0D => 17,
-        0x05 | 0x0B | 0x0E => 2,
-        0x07 => 11,
+        0x01 => 7,
+        0x03 | 0x04 | 0x08 | 0x0D => 17,
+        0x05 | 0x0E => 2,
         0x09 => 8,
         0x0C => 65,
         _ => return false,
@@ -122,6 +123,7 @@ mod tests {
     fn what_laptops_send_passes() {
         for att in [
             &[0x02, 5, 2][..],
+            &[0x02, 23, 0],
             &[0x04, 1, 0, 255, 255],
             &[0x06, 1, 0, 255, 255, 0, 0x28, 1],
             &[0x08, 1, 0, 255, 255, 3, 0x28],
@@ -129,6 +131,7 @@ mod tests {
             &[0x10, 1, 0, 255, 255, 0, 0x28],
             &[0x12, 10, 0, 1, 0],
             &[0x52, 12, 0],
+            &[0x20, 3, 0, 5, 0],
             &[0x1E],
         ] {
             assert!(passes(ATT, att), "{att:?}");
@@ -148,6 +151,11 @@ mod tests {
             &[0x12, 1],
             &[0x52],
             &[0x18],
+            &[0x02, 22, 0],
+            &[0x20],
+            &[0x20, 3],
+            &[0x20, 3, 0],
+            &[0x20, 3, 0, 5],
             &[0x01, 2, 3, 4, 5],
             &[0x10, 1, 0, 255, 255, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
         ] {
@@ -156,6 +164,10 @@ mod tests {
         assert!(!passes(SIGNALLING, &[0x13, 1, 2, 0, 0]));
         assert!(!passes(SIGNALLING, &[0x14, 1, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]));
         assert!(!passes(SECURITY, &[0x0C; 64]));
+        // Only the central's peer sends these, or they carry keys that Secure Connections do not distribute.
+        for (code, length) in [(0x02, 7), (0x0B, 2), (0x06, 17), (0x07, 11), (0x0A, 17)] {
+            assert!(!is_security(code, length), "{code}");
+        }
         assert!(!passes(0x40, &[1, 2, 3]));
         assert!(!Guard::default().passes(true, &[3, 0, 4]));
         // The content is longer than the header states, and longer than the board accepts.
@@ -164,15 +176,20 @@ mod tests {
     }
 
     #[test]
-    fn a_packet_in_pieces_passes_and_nothing_else_meanwhile() {
+    fn a_packet_in_pieces_passes_and_no_more_of_it_than_it_says() {
         let whole = packet(ATT, &[0x52, 12, 0, 1, 2, 3, 4, 5, 6]);
         let mut guard = Guard::default();
         assert!(guard.passes(true, &whole[..6]) && guard.is_waiting());
-        assert!(!guard.passes(true, &whole), "another beginning");
         assert!(guard.passes(false, &whole[6..9]));
         assert!(!guard.passes(false, &[0; 20]), "too much");
         assert!(guard.passes(false, &whole[9..]) && !guard.is_waiting());
         assert!(!guard.passes(false, &[1]), "nothing has begun");
+        // If another packet begins too early, the host stack disconnects. The missing part of the first packet stays the same.
+        assert!(guard.passes(true, &whole[..6]));
+        assert!(guard.passes(true, &packet(ATT, &[0x0A, 3, 0])) && guard.is_waiting());
+        assert!(!guard.passes(true, &packet(ATT, &[0x0A, 3])));
+        assert!(!guard.passes(false, &whole[5..]));
+        assert!(guard.passes(false, &whole[6..]) && !guard.is_waiting());
         // If the beginning of a packet was rejected, its end must be rejected too.
         assert!(!guard.passes(true, &[9, 0, 4, 0, 0x01]));
         assert!(!guard.passes(false, &[0; 8]));

@@ -2,11 +2,13 @@
 
 use core::cell::Cell;
 
-use bt_hci::ControllerToHostPacket;
-use bt_hci::cmd::{self, AsyncCmd, SyncCmd};
+use bt_hci::cmd::le::LeLongTermKeyRequestReply;
+use bt_hci::cmd::{self, AsyncCmd, Cmd, SyncCmd};
 use bt_hci::controller::{Controller, ControllerCmdAsync, ControllerCmdSync};
 use bt_hci::data::{AclPacket, AclPacketBoundary, IsoPacket, SyncPacket};
 use bt_hci::event::EventKind;
+use bt_hci::param::Error as Refused;
+use bt_hci::{AsHciBytes, ControllerToHostPacket, FromHciBytes};
 use embedded_io::ErrorType;
 use shared_board::guard::Guard;
 
@@ -90,7 +92,16 @@ where
     Q: SyncCmd + ?Sized,
 {
     async fn exec(&self, cmd: &Q) -> Result<Q::Return, cmd::Error<Self::Error>> {
-        self.controller.exec(cmd).await
+        match self.controller.exec(cmd).await {
+            // The link has ended since the controller asked for its key. That is no reason for the host to end.
+            Err(cmd::Error::Hci(Refused::UNKNOWN_CONN_IDENTIFIER))
+                if Q::OPCODE == LeLongTermKeyRequestReply::OPCODE =>
+            {
+                Q::Return::from_hci_bytes_complete(cmd.param_handle().as_hci_bytes())
+                    .map_err(|_| cmd::Error::Hci(Refused::UNKNOWN_CONN_IDENTIFIER))
+            }
+            other => other,
+        }
     }
 }
 
