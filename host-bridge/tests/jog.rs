@@ -419,15 +419,7 @@ fn without_a_scene_a_hand_cannot_move_the_arm_into_the_robot_itself_or_the_floor
     let around = world.around(Placement::default());
     let mut held_by = Vec::new();
     // First out of the way, and then down, and back towards the robot.
-    for (first, then) in [
-        ([0, 698], [0, 0]),
-        ([0, 698], [-300, 0]),
-        ([0, 698], [-300, -300]),
-        ([0, 698], [0, -300]),
-        ([0, -698], [0, 0]),
-        ([0, -698], [-500, 0]),
-        ([0, -698], [0, 500]),
-    ] {
+    for (first, then) in [([0, 698], [-300, 0]), ([0, 698], [-300, -300]), ([0, -698], [0, 500])] {
         let mut wearer = Wearer::before(support::bare(), "speed_m_s = 0.2\nlift_m_s = 0.2\nbend_ms = 1000\n");
         wearer.clutch();
         wearer.hold(0, 0, 300);
@@ -461,6 +453,7 @@ fn without_a_scene_a_hand_cannot_move_the_arm_into_the_robot_itself_or_the_floor
         assert!(notes.len() <= 50, "one a second at most: {}", notes.len());
         held_by.extend(notes.into_iter().cloned());
     }
-    // Not by joints' limits alone.
-    assert!(held_by.iter().any(|text| text.contains(" m from ")), "{held_by:?}");
+    // Not by joints' limits alone, and it says by what.
+    assert!(held_by.iter().any(|text| text.contains(" m from the base")), "{held_by:?}");
+    assert!(!held_by.iter().any(|text| text.contains("inf")), "{held_by:?}");
 }

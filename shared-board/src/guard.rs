@@ -49,7 +49,7 @@ impl Guard {
             SECURITY => content.first().is_some_and(|&code| is_security(code, length)),
             _ => false,
         };
-        // Where the host has the beginning of another packet, it hangs up at this one: nobody who is sane sends it.
+        // Where the host has the beginning of another packet, it hangs up at this one: no correct laptop sends it.
         if is_sound && self.left == 0 {
             self.left = left;
         }

@@ -80,8 +80,8 @@ impl Guard<'_> {
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
-        // The robot's own parts are always close to each other, so they count only if they prevent motion.
-        let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M);
+        // The robot's own parts are always close to each other; they count only if they hold it, or if nothing else is there.
+        let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M || !boxes.distance_m.is_finite());
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         nearest.map_or_else(String::new, |clearance| {
