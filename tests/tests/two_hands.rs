@@ -112,6 +112,9 @@ fn the_bundled_session_on_both_emulated_boards_over_bluetooth_comes_to_what_its_
 
 #[test]
 fn the_bundled_session_with_the_right_hand_over_bumbles_link_comes_to_what_its_script_says() {
+    if !tests::has_linked_image() {
+        return;
+    }
     play_demo(Cable::Air);
 }
 
@@ -127,6 +130,9 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
 /// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
+    if !tests::has_linked_image() {
+        return;
+    }
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
 }
 
@@ -297,6 +303,9 @@ fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
 
 #[test]
 fn a_laptop_that_hears_nothing_more_over_bumbles_link_stops_base_and_arm() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut steered = Steered::new(Cable::Air, 1);
     steered.both_move();
     // The board is out of range. Both sides of the link wait for the supervision timeout, but the robot does not.
