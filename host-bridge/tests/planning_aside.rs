@@ -218,7 +218,8 @@ fn where_the_base_has_moved_meanwhile_a_plan_is_begun_only_if_its_way_is_clear_f
 fn a_plan_for_other_fingers_is_not_begun() {
     let mut there = moving::pose("home");
     there[0] += 0.3;
-    let scene = format!("[[tool]]\nname = \"2f-85\"\n[[pose]]\nname = \"aside\"\njoints_rad = {there:?}\n");
+    let scene =
+        format!("[[tool]]\nname = \"2f-85\"\n[[pose]]\nname = \"aside\"\njoints_rad = {:?}\n", &there[..7]);
     let planner = Planner::new(SerialArm::gen3(), Scene::parse(&scene).unwrap()).unwrap();
     let mut robot = moving::in_scene(planner).planning_held();
     // Until the gripper has said how far its fingers are apart.
