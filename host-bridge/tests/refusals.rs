@@ -317,7 +317,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
 fn taught() -> (Director<Echoed<Moody>>, Mood, Joints) {
     let mut there = HOME;
     there[1] += 0.6;
-    let config = with_pose("", "shelf", &there).unwrap();
+    let config = with_pose("", "shelf", &there[..7]).unwrap();
     let config = Config::parse(&config).unwrap();
     let stage = Stage::new(&config, None).unwrap();
     let refusal = Arc::new(Mutex::new(None));
