@@ -9,6 +9,7 @@ use std::collections::BTreeSet;
 use std::io::BufRead as _;
 
 use anyhow::{Context as _, Result};
+use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::config::Config;
 use host_bridge::demo::Demo;
@@ -26,6 +27,8 @@ impl Observer for Printer {
     fn state(&mut self, now: &Now<'_>) {
         if self.0.remove(&now.time_ms) {
             let links = link_poses_in_world(now, &now.robot.picture().arm.joints_rad);
+            // The page draws one frame per joint that the arm has, and the flange.
+            let links = &links[..=COUNT];
             let line = serde_json::json!({ "state": Snapshot::of(now), "links": links });
             println!("{line}");
         }

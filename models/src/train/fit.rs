@@ -355,6 +355,8 @@ mod tests {
     }
 
     const SHORT: Steps = Steps { count: 60, rounded: 20, ..Steps::ADAPT };
+    /// Enough for a network that starts with random weights.
+    const LONG: Steps = Steps { count: 3000, rounded: 200, ..Steps::ADAPT };
 
     #[test]
     fn a_network_learns_what_it_is_shown_and_the_same_each_time() {
@@ -366,9 +368,9 @@ mod tests {
             };
             rows.iter().filter(|(row, label)| best(row) == Some(*label)).count()
         };
-        let fitted = refit(&rows, 3, &start, &SHORT, 2.0, 1);
+        let fitted = refit(&rows, 3, &start, &LONG, 2.0, 1);
         assert!(right(&start) < 200 && right(&fitted) == 300, "{} {}", right(&start), right(&fitted));
-        assert_eq!(fitted, refit(&rows, 3, &start, &SHORT, 2.0, 1));
+        assert_eq!(fitted, refit(&rows, 3, &start, &LONG, 2.0, 1));
         assert_eq!(refit(&[], 3, &start, &SHORT, 2.0, 1), start);
     }
 
