@@ -45,10 +45,9 @@ fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands()
     assert_eq!(before_tables.matches("<svg").count(), 2);
     assert!(before_tables.contains("worst first") && before_tables.contains("strokes/s"), "{before_tables}");
     assert!(before_tables.contains("26 (a board's)"), "the threshold of a board is one of the points");
-    let per_cent = |text: &str| text.split(" %, ").next().unwrap().parse::<f64>().unwrap();
     let drawn: Vec<f64> = before_tables
         .split("strokes/s")
-        .filter_map(|part| Some(per_cent(part.rsplit_once('>')?.1)))
+        .filter_map(|part| part.rsplit_once('>')?.1.split_once(" %, ")?.0.parse().ok())
         .collect();
     assert!(drawn.len() == 3 && drawn.is_sorted(), "{drawn:?}");
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
