@@ -1,12 +1,12 @@
 //! Nordic's SoftDevice Controller and MPSL as the image with its own host calls them, answered at their C functions.
 //!
 //! The linked image holds both libraries. The functions of their interface are not executed here but answered from outside, by
-//! their symbols. HCI goes to a controller of bumble in another process ([`air`]); whatever is above HCI is the code that
+//! their symbols. HCI goes to a controller of bumble in another process (`air.rs`); whatever is above HCI is the code that
 //! users flash. `sdc_init`, `sdc_cfg_set` and `sdc_support_*`, which only count what memory is wanted, are Nordic's own, so
 //! that an image that gives too little does not start here, either.
 //!
 //! Ours, and no proof of anything: time slots, clocks, `sdc_enable`, `sdc_rand_*`, what bumble's controller lacks (data
-//! length, PHY, RSSI, resolving list, buffers), and the time of the link ([`link`]).
+//! length, PHY, RSSI, resolving list, buffers), and the time of the link (`link.rs`).
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
