@@ -45,7 +45,7 @@ pub struct Trained {
     pub float_tflite: Vec<u8>,
     /// Bytes of the int8 file.
     pub int8_tflite: Vec<u8>,
-    /// The rows that [`adapt`] needs about the training people; only with the recipe `aligned`.
+    /// The rows that `models adapt` needs about the training people; only with the recipe `aligned`.
     pub memory: Option<Memory>,
 }
 
