@@ -21,11 +21,9 @@ pub struct ArmFile {
 /// # Errors
 /// Fails if the file cannot be read, is not a URDF, or has no such arm.
 pub fn read(urdf: &Path, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
-    let beside = scene_file.parent().unwrap_or(Path::new(""));
-    let file = beside.join(urdf);
+    let file = beside(scene_file).join(urdf);
     let text = std::fs::read_to_string(&file).map_err(|error| error.to_string())?;
-    let packages: Vec<PathBuf> = table.packages.iter().map(|folder| beside.join(folder)).collect();
-    alone(&text, Some(&file), &packages, table)
+    alone(&text, Some(&file), scene_file, table)
 }
 
 /// Does the same for a description that a robot published, in which meshes have package paths.
@@ -33,27 +31,31 @@ pub fn read(urdf: &Path, scene_file: &Path, table: &ArmTable) -> Result<ArmFile,
 /// # Errors
 /// Fails for the same reasons as [`read`].
 pub fn published(text: &str, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
-    let beside = scene_file.parent().unwrap_or(Path::new(""));
-    let packages: Vec<PathBuf> = table.packages.iter().map(|folder| beside.join(folder)).collect();
-    alone(text, None, &packages, table)
+    alone(text, None, scene_file, table)
 }
 
-fn alone(text: &str, file: Option<&Path>, packages: &[PathBuf], table: &ArmTable) -> Result<ArmFile, String> {
+/// The folder at which a scene's relative paths start.
+fn beside(scene_file: &Path) -> &Path {
+    scene_file.parent().unwrap_or(Path::new(""))
+}
+
+fn alone(text: &str, file: Option<&Path>, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
     let missing = crate::arm::urdf::Missing::of(table);
-    let places = Places { beside: file.and_then(Path::parent), packages: &with_ros(packages) };
+    let packages = with_ros(table.packages.iter().map(|folder| beside(scene_file).join(folder)));
+    let places = Places { beside: file.and_then(Path::parent), packages: &packages };
     let alone = crate::arm::urdf_meshes::stand_alone(text, &missing, &|name| places.mesh(name));
     let alone = alone.map_err(|error| error.to_string())?;
     Ok(ArmFile { text: alone.text, notes: alone.notes })
 }
 
 /// The search order is: the folders listed in the scene, then the folders where ROS stores its packages.
-fn with_ros(packages: &[PathBuf]) -> Vec<PathBuf> {
+fn with_ros(packages: impl Iterator<Item = PathBuf>) -> Vec<PathBuf> {
     let of = |name: &str| std::env::var_os(name).unwrap_or_default();
     let prefixes = std::env::split_paths(&of("AMENT_PREFIX_PATH"))
         .map(|prefix| prefix.join("share"))
         .collect::<Vec<_>>();
     let older: Vec<PathBuf> = std::env::split_paths(&of("ROS_PACKAGE_PATH")).collect();
-    packages.iter().cloned().chain(prefixes).chain(older).collect()
+    packages.chain(prefixes).chain(older).collect()
 }
 
 /// The folders in which meshes are searched.
@@ -100,15 +102,10 @@ impl Places<'_> {
             };
         };
         let (package, path) = named.split_once('/').unwrap_or((named, ""));
-        let mut places = Vec::new();
-        for folder in self.packages {
-            places.push(folder.join(named));
-            if folder.file_name().is_some_and(|own| own == package) {
-                places.push(folder.join(path));
-            }
-        }
         // The file may lie within its package.
-        for folder in self.beside.into_iter().flat_map(Path::ancestors) {
+        let around = self.beside.into_iter().flat_map(Path::ancestors);
+        let mut places = Vec::new();
+        for folder in self.packages.iter().map(PathBuf::as_path).chain(around) {
             places.push(folder.join(named));
             if folder.file_name().is_some_and(|own| own == package) {
                 places.push(folder.join(path));

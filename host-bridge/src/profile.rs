@@ -9,15 +9,16 @@ use crate::ros2::Ros2Config;
 use crate::scene::Scene;
 
 /// Copies the profile from a scene's file to the configuration. Values that the configuration sets have priority.
+/// Returns the scene.
 ///
 /// # Errors
 /// Fails if the file cannot be read, or if a key or value of its `[ros2]` is invalid.
-pub fn take(config: &mut Config, scene: &Path) -> Result<(), String> {
-    let about = |why: &dyn std::fmt::Display| format!("{}: {why}", scene.display());
-    let text = std::fs::read_to_string(scene).map_err(|error| about(&error))?;
-    let profile = Scene::parse(&text).map_err(|error| about(&error))?.ros2;
-    config.ros2 = merged(&config.ros2, &profile).map_err(|why| about(&why))?;
-    Ok(())
+pub fn take(config: &mut Config, file: &Path) -> Result<Scene, String> {
+    let about = |why: &dyn std::fmt::Display| format!("{}: {why}", file.display());
+    let text = std::fs::read_to_string(file).map_err(|error| about(&error))?;
+    let scene = Scene::parse(&text).map_err(|error| about(&error))?;
+    config.ros2 = merged(&config.ros2, &scene.ros2).map_err(|why| about(&why))?;
+    Ok(scene)
 }
 
 /// Applies a profile, except for values that the user has set.
@@ -51,8 +52,10 @@ pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, Strin
             if controllers.contains(&asked) {
                 return Ok(asked);
             }
-            let others = if controllers.is_empty() { "none".to_owned() } else { controllers.join(", ") };
-            Err(format!("{asked} has no follow_joint_trajectory action; on the graph: {others}"))
+            Err(format!(
+                "{asked} has no follow_joint_trajectory action; on the graph: {}",
+                listed(controllers)
+            ))
         }
         ([one], None) => Ok(one.clone()),
         ([], None) => Err(
@@ -64,6 +67,11 @@ pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, Strin
             several.join(", ")
         )),
     }
+}
+
+/// Lists the controllers on a graph for users.
+pub fn listed(controllers: &[String]) -> String {
+    if controllers.is_empty() { "none".to_owned() } else { controllers.join(", ") }
 }
 
 /// Returns a complete scene for a robot on a graph, shorter than a page.
@@ -120,7 +128,7 @@ mod tests {
             let text = std::fs::read_to_string(&file).unwrap();
             assert!(text.lines().count() <= 40, "{}", file.display());
             let scene = Scene::parse(&text).unwrap();
-            // Checks that the arm brakes quickly enough for streaming.
+            // Every arm except the Gen3 needs a description.
             assert!(scene.arm.urdf.is_some() != file.ends_with("gen3.toml"), "{}", file.display());
             assert!((1..=7).contains(&config.ros2.joint_names.len()));
             seen += 1;

@@ -4,11 +4,9 @@
 //!
 //! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`):
 //! the last message on the topic counts, it is sampled in the controller's own time with cubic interpolation,
-//! and its last
-//! point is held.
+//! and its last point is held.
 //! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero is replaced by the time of arrival,
-//! and a command
-//! older than 0.5 s makes the controller brake.
+//! and a command older than 0.5 s makes the controller brake.
 
 use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::model::SerialArm;

@@ -238,6 +238,11 @@ impl Recording {
         text
     }
 
+    /// Like [`Self::to_csv`], but with the header that Edge Impulse expects, which our own tools also read.
+    pub fn to_edge_impulse_csv(&self) -> String {
+        self.to_csv().replacen("timestamp_ms", "timestamp", 1)
+    }
+
     /// Writes the CSV file completely or not at all.
     pub fn write(&self, file: &Path) -> std::io::Result<()> {
         write_whole(file, self.to_csv().as_bytes())

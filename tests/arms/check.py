@@ -40,6 +40,10 @@ ARMS = {
 }
 
 
+def transform(pose):
+    return coal.Transform3s(pose.rotation, pose.translation)
+
+
 class Judge:
     """The arm as its own file says it is: kinematics by Pinocchio, hulls by Coal."""
 
@@ -100,9 +104,6 @@ class Judge:
         return coal.distance(one, at, two, there, self.request, result)
 
     def apart(self, a, b):
-        def transform(pose):
-            return coal.Transform3s(pose.rotation, pose.translation)
-
         least = np.inf
         for number, shape, pose in self.now:
             if number != a:
@@ -123,12 +124,7 @@ class Judge:
             for number, shape, pose in self.now:
                 # The foot and the first link are not held apart from boxes that were put there by chance.
                 if number >= 1:
-                    gap = self.distance(
-                        shape,
-                        coal.Transform3s(pose.rotation, pose.translation),
-                        box,
-                        coal.Transform3s(at.rotation, at.translation),
-                    )
+                    gap = self.distance(shape, transform(pose), box, transform(at))
                     least = min(least, (gap, (number, "box")), key=lambda found: found[0])
         return least
 

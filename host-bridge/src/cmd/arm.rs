@@ -45,8 +45,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             "{} is there and says all that itself: leave --root, --tip and --controller out, or name a new file",
             args.scene.display()
         );
-        profile::take(&mut config, &args.scene).map_err(anyhow::Error::msg)?;
-        table = Scene::parse(&std::fs::read_to_string(&args.scene)?)?.arm;
+        table = profile::take(&mut config, &args.scene).map_err(anyhow::Error::msg)?.arm;
     }
     let urdf = table.urdf.clone().unwrap_or_else(|| Path::new(&stem(&args.scene)).with_extension("urdf"));
     let into = args.scene.parent().unwrap_or(Path::new("")).join(&urdf);
@@ -82,9 +81,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         config.ros2.resolve(&config.ros2.arm_controller)
     };
     if !found.controllers.contains(&controller) {
-        let others =
-            if found.controllers.is_empty() { "none".to_owned() } else { found.controllers.join(", ") };
-        eprintln!("{controller} has no follow_joint_trajectory action now; on the graph: {others}");
+        eprintln!(
+            "{controller} has no follow_joint_trajectory action now; on the graph: {}",
+            profile::listed(&found.controllers)
+        );
     }
     models::recording::write_whole(&into, file.text.as_bytes())
         .with_context(|| into.display().to_string())?;

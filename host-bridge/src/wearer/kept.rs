@@ -18,17 +18,16 @@ const TAKE_S: usize = 5;
 
 /// The wearer's files, and the model to start from.
 pub struct Kept {
+    /// A wearer who gave no name gets one with the first recording.
     settings: Settings,
     /// The base model, which is read only once.
     base: Option<Result<Adaptable, String>>,
-    /// The folder of a wearer who gave no name, once it exists.
-    guest: Option<String>,
 }
 
 impl Kept {
     /// Creates the value; nothing is read yet.
     pub fn new(settings: Settings) -> Self {
-        Kept { settings, base: None, guest: None }
+        Kept { settings, base: None }
     }
 
     fn base(&mut self) -> Result<&Adaptable, String> {
@@ -50,7 +49,7 @@ impl Kept {
             Ok(base) => base,
             Err(why) => return Offer::Cannot(format!("no gestures can be shown: {why}")),
         };
-        let (card, started_from) = (&base.model.card, base.model.card.name.clone());
+        let (card, started_from) = (&base.model.card, &base.model.card.name);
         if card.labels != labels {
             return Offer::Cannot(format!(
                 "no gestures can be shown: the board's model {model_id:08x} names {}, and {started_from} names {}; start \
@@ -61,8 +60,7 @@ impl Kept {
         }
         let gestures: Vec<String> = labels.iter().filter(|label| !is_rest(label)).cloned().collect();
         let seconds = TAKE_S * TIMES * gestures.len();
-        let name = self.settings.name.clone().or_else(|| self.guest.clone());
-        let Some(name) = name else {
+        let Some(name) = self.settings.name.clone() else {
             let text = offer_to_show(None, &gestures, seconds);
             return Offer::Show { labels: gestures, text };
         };
@@ -106,9 +104,9 @@ impl Kept {
 
     /// Saves the recordings and trains with all recordings of this wearer. Returns the model, or why there is none.
     pub(super) fn learn(&mut self, shown: &Shown) -> Result<Vec<u8>, String> {
-        let name = match (&self.settings.name, &self.guest) {
-            (Some(name), _) | (None, Some(name)) => name.clone(),
-            (None, None) => self.new_guest()?,
+        let name = match &self.settings.name {
+            Some(name) => name.clone(),
+            None => self.new_guest()?,
         };
         let recordings = self.folder(&name).join("recordings");
         for (label, recording) in shown {
@@ -118,9 +116,7 @@ impl Kept {
                     recordings.display()
                 )
             })?;
-            // The header of Edge Impulse, which our own tools read too.
-            let text = recording.to_csv().replacen("timestamp_ms", "timestamp", 1);
-            write_whole(&file, text.as_bytes()).map_err(|error| {
+            write_whole(&file, recording.to_edge_impulse_csv().as_bytes()).map_err(|error| {
                 let _ = std::fs::remove_file(&file);
                 format!("{}: {error}; is there room, and may you?", file.display())
             })?;
@@ -138,7 +134,7 @@ impl Kept {
     fn new_guest(&mut self) -> Result<String, String> {
         let name = (1..u32::MAX).map(|n| format!("guest-{n}")).find(|name| !self.folder(name).exists());
         let name = name.ok_or("no free name for a guest; give one with --wearer")?;
-        self.guest = Some(name.clone());
+        self.settings.name = Some(name.clone());
         Ok(name)
     }
 }

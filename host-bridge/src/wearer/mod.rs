@@ -14,7 +14,7 @@
 mod kept;
 
 use std::path::PathBuf;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
 
 use host_core::bridge::Prompt;
@@ -78,7 +78,7 @@ pub struct Wearer {
     answers: Receiver<Answer>,
     offer: Offer,
     showing: Option<Showing>,
-    /// Total number of recordings.
+    /// Number of showings so far, so that each gets request numbers of its own.
     showings: u16,
     /// Number of jobs that the other thread has not answered.
     unanswered: usize,
@@ -99,11 +99,17 @@ impl Wearer {
     pub fn start(settings: Settings, clock: &dyn Clock) -> std::io::Result<Self> {
         let (jobs, incoming) = sync_channel::<Job>(4);
         let (outgoing, answers) = sync_channel(4);
-        // Returns whether the other thread is reading or training.
+        // With it, the clock knows when the other thread reads or trains.
         let waiter = clock.waiter();
         std::thread::Builder::new().name("wearer".to_owned()).spawn(move || {
             let mut kept = Kept::new(settings);
-            while let Ok(job) = waiter.receive(&incoming, PATIENCE) {
+            loop {
+                let job = match waiter.receive(&incoming, PATIENCE) {
+                    Ok(job) => job,
+                    // A session may last longer than an hour without a job.
+                    Err(RecvTimeoutError::Timeout) => continue,
+                    Err(RecvTimeoutError::Disconnected) => break,
+                };
                 let answer = match job {
                     Job::Look { model_id, labels } => Answer::Offer(kept.offer(model_id, &labels)),
                     Job::Learn(shown) => Answer::Learnt(kept.learn(&shown)),
@@ -170,17 +176,21 @@ impl Wearer {
                 self.held_until_ms = now_ms + AFTER_MS;
             }
         }
-        self.tell(engine, now_ms);
-        if self.showing.as_ref().is_some_and(|showing| showing.is_over().is_some()) {
+        let mut prompt = self.prompt();
+        if let Some(Prompt { text, .. }) = &prompt {
+            self.tell(text, engine, now_ms);
+        }
+        if self.showing.as_ref().is_some_and(Showing::is_over) {
             self.result = self.showing.take().map(|showing| showing.text());
             // The board may run another model now.
             self.board = None;
+            prompt = self.prompt();
         }
         let holds = now_ms < self.held_until_ms;
         if holds != engine.bridge().is_shown() {
             engine.show_key(holds, now_ms);
         }
-        engine.set_prompt(self.prompt());
+        engine.set_prompt(prompt);
     }
 
     /// Whenever the board reports another model, the possible actions are determined again.
@@ -263,18 +273,20 @@ impl Wearer {
     }
 
     /// Every change is an event, except for the count of bytes.
-    fn tell<D: Door>(&mut self, engine: &mut Engine<'static, D>, now_ms: u64) {
-        let Some(Prompt { text, .. }) = self.prompt() else { return };
-        let plain = |text: &str| text.split(|c: char| c.is_ascii_digit()).next().map(str::to_owned);
-        let is_progress = text.contains(" bytes;") && plain(&text) == plain(&self.told);
-        if text != self.told && !is_progress {
-            engine.tell_wearer(text.clone(), now_ms);
+    fn tell<D: Door>(&mut self, text: &str, engine: &mut Engine<'static, D>, now_ms: u64) {
+        if text == self.told {
+            return;
         }
-        self.told = text;
+        let plain = |text: &str| text.split(|c: char| c.is_ascii_digit()).next().map(str::to_owned);
+        let is_progress = text.contains(" bytes;") && plain(text) == plain(&self.told);
+        if !is_progress {
+            engine.tell_wearer(text.to_owned(), now_ms);
+        }
+        self.told = text.to_owned();
     }
 }
 
-/// Describes what the wearer must do: while showing gestures, and afterwards.
+/// Returns the text that asks the wearer to show each of these gestures, and says what will follow.
 fn offer_to_show(name: Option<&str>, labels: &[String], seconds: usize) -> String {
     let who = match name {
         Some(name) => format!("{name} has shown nothing yet"),

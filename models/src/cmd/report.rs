@@ -66,11 +66,8 @@ impl Cmd {
             let trial = Trial { folder: &self.set.folder, axes, labels: &self.set.labels, recipe: &*recipe };
             studies.push(Study::run(&trial, &people, self.seeds, &self.examples, done)?);
             let model = trial.without(&people[0], 1)?;
-            let mut widths = vec![model.card.scaling.mean.len()];
-            widths.extend(model.float.iter().map(|layer| layer.biases.len()));
-            let blob = model.blob()?;
-            Model::parse(&blob)?;
-            networks.push(NetworkSize { widths, blob_bytes: blob.len() });
+            Model::parse(&model.blob()?)?;
+            networks.push(NetworkSize::of(&model)?);
             for person in &people {
                 let point = |share: &f64| -> Result<(f64, f64), TrialError> {
                     Ok((*share, trial.stranger_after(person, *share, 1)?.accuracy().int8))

@@ -5,6 +5,7 @@ use std::time::Instant;
 use clap::Args;
 use models::evaluate::events::{Pause, Tally};
 use models::evaluate::people::{Graded, Trial};
+use models::report::NetworkSize;
 use models::tflite::{Network, read};
 use models::train::{Aligned, Steps};
 use rayon::prelude::*;
@@ -57,30 +58,25 @@ impl Cmd {
                 let recipe = Aligned { steps: Steps { members, ..usual.steps }, ..usual };
                 let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
                 let (mut each, mut all) = (Vec::new(), Tally::default());
-                let (mut shape, mut bytes, mut zeros) = (Vec::new(), 0, 0);
+                let (mut size, mut zeros) = (NetworkSize::default(), 0);
                 for person in &people {
                     let one = |seed: u64| -> anyhow::Result<_> {
                         let model = trial.without(person, seed)?;
                         let events = trial.events_of(&model, person, Pause::USUAL, seed)?;
                         let graded = trial.grade_of(&model, person)?;
-                        let widths: Vec<usize> = std::iter::once(model.card.scaling.mean.len())
-                            .chain(model.float.iter().map(|layer| layer.biases.len()))
-                            .collect();
-                        let none = zeros_of(&model.int8_tflite)?;
-                        Ok((graded, events, widths, model.blob()?.len(), none))
+                        Ok((graded, events, NetworkSize::of(&model)?, zeros_of(&model.int8_tflite)?))
                     };
                     let runs = (1..=self.seeds)
                         .into_par_iter()
                         .map(one)
-                        .collect::<anyhow::Result<Vec<(Graded, Tally, Vec<usize>, usize, usize)>>>()?;
+                        .collect::<anyhow::Result<Vec<(Graded, Tally, NetworkSize, usize)>>>()?;
                     each.push(Graded::mean(runs.iter().map(|run| &run.0)).int8);
-                    for (_, tally, widths, blob, none) in runs {
+                    for (_, tally, of_model, none) in runs {
                         all.add(&tally);
-                        (shape, bytes, zeros) = (widths, blob, none);
+                        (size, zeros) = (of_model, none);
                     }
                 }
-                let name = shape.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
-                let products: usize = shape.windows(2).map(|pair| pair[0] * pair[1]).sum();
+                let (name, bytes, products) = (size.shape(), size.blob_bytes, size.products());
                 println!(
                     "{name:<18} {bytes:>8} {zeros:>8} {products:>10} {:>12.2} {:>9.2} {:>9.2} {:>7}",
                     each.iter().sum::<f64>() / each.len().max(1) as f64,

@@ -208,8 +208,7 @@ impl Trial<'_> {
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         let dropped = held_out(&others, 1.0 - share, seed);
-        let model = train(&others, &dropped, self.recipe, &Self::job(seed))?;
-        self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
+        self.grade_of(&train(&others, &dropped, self.recipe, &Self::job(seed))?, person)
     }
 
     /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`].

@@ -43,7 +43,7 @@ pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
 }
 
 impl Classifier<'_> {
-    /// Returns the probability of each label, or `None` if the number of features differs from the model's.
+    /// Returns the probability of each label, or nothing if the number of features differs from the model's.
     ///
     /// The int8 network takes raw features and applies the recipe itself.
     pub fn probabilities(&self, raw: &[f32], transformed: &[f32]) -> Vec<f32> {

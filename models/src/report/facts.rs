@@ -6,10 +6,9 @@ use rayon::prelude::*;
 use shared_dsp::right::aligned::feature_count;
 use shared_words::is_rest;
 
-use crate::RATE_HZ;
 use crate::dataset::Dataset;
 use crate::evaluate::tempo::strokes_per_second;
-use crate::windows::{aligned_features, prepare};
+use crate::windows::{aligned_features, cut, prepare};
 
 /// Facts about a data set.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,11 +98,7 @@ fn features(dataset: &Dataset) -> Vec<(String, Vec<f64>)> {
         .par_iter()
         .flat_map_iter(|item| {
             let (ready, _) = prepare(&item.recording);
-            let starts = (0..=ready.len().saturating_sub(crate::WINDOW)).step_by(RATE_HZ as usize);
-            let cut: Vec<Vec<f32>> = starts
-                .map(|start| ready.slice(start, crate::WINDOW).samples().flatten().copied().collect())
-                .collect();
-            cut.into_iter().map(|window| (&item.label, aligned_features(dataset.axes, &window)))
+            cut(&ready).into_iter().map(|window| (&item.label, aligned_features(dataset.axes, &window)))
         })
         .collect();
     let width = feature_count(dataset.axes);

@@ -9,9 +9,10 @@ pub use facts::{Facts, PersonFacts, feature_names};
 pub use page::html;
 
 use crate::evaluate::study::{Events, Study};
+use crate::train::{TrainError, Trained};
 
 /// Size of a network on a board.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct NetworkSize {
     /// Number of inputs, followed by the number of outputs of each layer.
     pub widths: Vec<usize>,
@@ -20,6 +21,16 @@ pub struct NetworkSize {
 }
 
 impl NetworkSize {
+    /// Of a trained model.
+    ///
+    /// # Errors
+    /// If the weights cannot be converted to a blob.
+    pub fn of(model: &Trained) -> Result<Self, TrainError> {
+        let outputs = model.float.iter().map(|layer| layer.biases.len());
+        let widths = std::iter::once(model.card.scaling.mean.len()).chain(outputs).collect();
+        Ok(Self { widths, blob_bytes: model.blob()?.len() })
+    }
+
     /// As in `117-20-10-5-7`.
     pub fn shape(&self) -> String {
         self.widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-")

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::svg::{Curve, colour, escape, heat, lines};
+use super::svg::{Curve, Percentages, colour, escape, heat, lines};
 use super::{Facts, Report};
 use crate::evaluate::people::Graded;
 use crate::evaluate::study::{Events, Study};
@@ -304,22 +304,20 @@ fn learning(page: &mut String, report: &Report) {
         .iter()
         .flat_map(|(_, points)| points.iter().map(|point| point.1))
         .fold(100.0, f64::min);
-    let floor = (low / 10.0).floor() * 10.0;
-    let part = |value: f64| (value - floor) / (100.0 - floor).max(1e-9);
+    let axis = Percentages { floor: (low / 10.0).floor() * 10.0 };
     let drawn: Vec<Curve<'_>> = report
         .learning
         .iter()
-        .map(|(name, points)| Curve { name, points: points.iter().map(|(x, y)| (*x, part(*y))).collect() })
-        .collect();
-    let y_ticks: Vec<(f64, String)> = (0..=4)
-        .map(|n| floor + (100.0 - floor) * f64::from(n) / 4.0)
-        .map(|y| (part(y), format!("{y:.0}")))
+        .map(|(name, points)| Curve {
+            name,
+            points: points.iter().map(|(x, y)| (*x, axis.part(*y))).collect(),
+        })
         .collect();
     let x_ticks = [0.0, 0.25, 0.5, 0.75, 1.0].map(|x| (x, format!("{:.0} %", 100.0 * x)));
     page.push_str(&lines(
         ("share of the recordings", "right recordings, %"),
         &x_ticks,
-        &y_ticks,
+        &axis.ticks(),
         false,
         &drawn,
     ));

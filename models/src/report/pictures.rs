@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use shared_dsp::right::movement::MovementConfig;
 
-use super::svg::{Bar, Curve, bars, escape, lines};
+use super::svg::{Bar, Curve, Percentages, bars, escape, lines};
 use super::{Facts, Report};
 use crate::evaluate::events::Tally;
 use crate::evaluate::people::Graded;
@@ -33,6 +33,7 @@ fn people(page: &mut String, study: &Study, facts: &Facts) {
         .collect();
     each.sort_by(|a, b| a.1.total_cmp(&b.1));
     let floor = each.first().map_or(0.0, |(_, worst)| ((worst - 5.0) / 10.0).floor() * 10.0).max(0.0);
+    let axis = Percentages { floor };
     let drawn: Vec<Bar> = each
         .into_iter()
         .map(|(name, per_cent)| {
@@ -41,7 +42,7 @@ fn people(page: &mut String, study: &Study, facts: &Facts) {
                 Some([slow, usual, fast]) => format!("{usual:.1} strokes/s ({slow:.1}–{fast:.1})"),
                 None => "no tempo".to_owned(),
             };
-            let part = (per_cent - floor) / (100.0 - floor).max(1e-9);
+            let part = axis.part(per_cent);
             Bar { name: name.clone(), part, text: format!("{per_cent:.1} %, {tempo}") }
         })
         .collect();
@@ -64,22 +65,17 @@ fn trade(page: &mut String, events: &Events, axes: usize) {
     tried.sort_by_key(|(max_rest, _, _)| *max_rest);
     tried.dedup_by_key(|(max_rest, _, _)| *max_rest);
     let low = tried.iter().map(|(_, real, _)| real.right_per_cent()).fold(100.0, f64::min);
-    let floor = ((low - 1.0) / 10.0).floor().max(0.0) * 10.0;
-    let part = |value: f64| (value - floor) / (100.0 - floor).max(1e-9);
+    let axis = Percentages { floor: ((low - 1.0) / 10.0).floor().max(0.0) * 10.0 };
     // False events in real people's recordings without a gesture, and in the hours of simulated wearers.
     let real = |tally: &Tally| 100.0 * tally.rest_events as f64 / tally.rests.max(1) as f64;
     let simulated = |tally: &Tally| if tally.rest_s > 0.0 { tally.false_per_hour() } else { 0.0 };
     let most = tried.iter().flat_map(|(_, r, s)| [real(r), simulated(s)]).fold(1.0, f64::max);
     let curve = |name, x: &dyn Fn(&(u8, &Tally, &Tally)) -> f64| Curve {
         name,
-        points: tried.iter().map(|point| (x(point) / most, part(point.1.right_per_cent()))).collect(),
+        points: tried.iter().map(|point| (x(point) / most, axis.part(point.1.right_per_cent()))).collect(),
     };
     let x_ticks: Vec<(f64, String)> =
         (0..=4).map(|n| f64::from(n) / 4.0).map(|at| (at, format!("{:.1}", at * most))).collect();
-    let y_ticks: Vec<(f64, String)> = (0..=4)
-        .map(|n| floor + (100.0 - floor) * f64::from(n) / 4.0)
-        .map(|y| (part(y), format!("{y:.0}")))
-        .collect();
     let thresholds: Vec<String> = tried
         .iter()
         .map(|(max_rest, tally, _)| {
@@ -95,7 +91,7 @@ fn trade(page: &mut String, events: &Events, axes: usize) {
         lines(
             ("false events", "gestures with exactly one right event, %"),
             &x_ticks,
-            &y_ticks,
+            &axis.ticks(),
             false,
             &[
                 curve("in 100 recordings of no gesture", &|(_, tally, _)| real(tally)),

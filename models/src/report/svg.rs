@@ -22,6 +22,27 @@ const LEFT: f64 = 46.0;
 const TOP: f64 = 12.0;
 const PLOT: (f64, f64) = (300.0, 200.0);
 
+/// An axis of percentages from a floor to 100.
+pub struct Percentages {
+    /// The percentage at the axis's start.
+    pub floor: f64,
+}
+
+impl Percentages {
+    /// Returns the position of a percentage on the axis: 0 at the floor, 1 at 100 %.
+    pub fn part(&self, per_cent: f64) -> f64 {
+        (per_cent - self.floor) / (100.0 - self.floor).max(1e-9)
+    }
+
+    /// Returns five ticks, the first at the floor.
+    pub fn ticks(&self) -> Vec<(f64, String)> {
+        (0..=4)
+            .map(|n| self.floor + (100.0 - self.floor) * f64::from(n) / 4.0)
+            .map(|y| (self.part(y), format!("{y:.0}")))
+            .collect()
+    }
+}
+
 /// Draws a line chart. `x_ticks` and `y_ticks` are positions in 0..=1 and their texts; `diagonal` adds the line y = x.
 pub fn lines(
     (x_name, y_name): (&str, &str),

@@ -26,10 +26,10 @@ pub struct Augmentation {
 }
 
 impl Augmentation {
-    /// The variation that recipe `log-power` uses.
+    /// No copies.
     pub const NONE: Self =
         Self { copies: 0, turn_deg: 0.0, size: 0.0, tempo: 0.0, iron_ut: 0.0, heading_deg: 0.0 };
-    /// Returns the variation that recipe `log-power` uses.
+    /// The variation that recipe `log-power` uses.
     pub const DEFAULT: Self =
         Self { copies: 6, turn_deg: 8.0, size: 0.1, tempo: 0.08, iron_ut: 3.0, heading_deg: 30.0 };
 

@@ -61,10 +61,42 @@ impl Steps {
         Self { count, most: count, ..self }
     }
 
-    /// Number of steps at the end that simulate int8 rounding.
+    /// The plan for the steps at the end that simulate int8 rounding.
     pub(super) fn last(self) -> Self {
         Self { count: self.rounded, most: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
     }
+
+    /// Draws the indices of a batch's rows, of which there are `rows` in total.
+    pub(super) fn drawn(self, rows: usize, rng: &mut ChaCha8Rng) -> Vec<u32> {
+        (0..self.batch).map(|_| rng.random_range(0..rows as u32)).collect()
+    }
+
+    /// Returns the probability that a network of `labels` outputs should give to a label.
+    pub(super) fn target(self, is_right: bool, labels: usize) -> f32 {
+        let spread = self.label_smoothing / labels as f32;
+        if is_right { spread + 1.0 - self.label_smoothing } else { spread }
+    }
+
+    /// Returns the learning rate of a step (counted from 0): it warms up, and then decreases as a cosine.
+    pub(super) fn rate(self, step: usize) -> f64 {
+        let warm = ((step + 1) as f64 / self.warm_up as f64).min(1.0);
+        let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / self.count as f64).cos());
+        self.learning_rate * warm * fall
+    }
+
+    /// Returns the fraction of the averaged weights that remains after a step (counted from 0).
+    /// At first, the average must forget quickly, so that it does not retain the start.
+    pub(super) fn kept(self, step: usize) -> f64 {
+        let time = (step + 1) as f64;
+        self.keep.min((1.0 + time) / (10.0 + time))
+    }
+}
+
+/// Returns the weight of each label, so that rare labels count as much as common ones.
+pub(super) fn label_weights(rows: &[(Vec<f32>, usize)], labels: usize) -> Vec<f32> {
+    let mut counts = vec![0usize; labels];
+    rows.iter().for_each(|(_, label)| counts[*label] += 1);
+    counts.into_iter().map(|count| rows.len() as f32 / (labels * count.max(1)) as f32).collect()
 }
 
 /// Adam's running means of the gradients and of their squares.
@@ -87,19 +119,26 @@ pub(super) fn refit(
     let mut layers = run(rows, labels, start, plan, None, RandomStream::Member(0).of(seed));
     equalise(&mut layers);
     if plan.rounded > 0 {
-        let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
-        let rounding = Rounding { limit, ranges: quantise::ranges(&layers, &inputs) };
+        let rounding = Rounding::new(&layers, rows, limit);
         layers = run(rows, labels, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
     }
     layers
 }
 
 /// The rounding that int8 will cause, for training steps that simulate it. The gradient passes as if nothing was rounded.
-struct Rounding {
+pub(super) struct Rounding {
     /// Largest input.
-    limit: f32,
+    pub limit: f32,
     /// Smallest and largest output of each layer.
-    ranges: Vec<(f32, f32)>,
+    pub ranges: Vec<(f32, f32)>,
+}
+
+impl Rounding {
+    /// Creates the rounding, whose ranges are those of the outputs for `rows`.
+    pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
+        let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+        Self { limit, ranges: quantise::ranges(layers, &inputs) }
+    }
 }
 
 /// Values that an optimiser changes, with its running means for each, and the average of the values over the steps.
@@ -250,16 +289,13 @@ fn run(
     mut rng: ChaCha8Rng,
 ) -> Vec<FloatLayer> {
     let mut layers: Vec<Fitting> = start.iter().map(|layer| Fitting::new(layer, plan.batch)).collect();
-    let mut counts = vec![0usize; labels];
-    rows.iter().for_each(|(_, label)| counts[*label] += 1);
-    let weight = |label: usize| rows.len() as f32 / (labels * counts[label].max(1)) as f32;
-    let spread = plan.label_smoothing / labels as f32;
+    let weights = label_weights(rows, labels);
     let range = |index: usize| rounding.and_then(|rounding| rounding.ranges.get(index).copied());
     let (mut gradient, mut before) = (Vec::new(), Vec::new());
     for step in 0..plan.count {
-        let chosen: Vec<usize> =
-            (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32) as usize).collect();
-        let mut batch: Vec<f32> = chosen.iter().flat_map(|row| rows[*row].0.iter().copied()).collect();
+        let drawn = plan.drawn(rows.len(), &mut rng);
+        let chosen: Vec<&(Vec<f32>, usize)> = drawn.into_iter().map(|row| &rows[row as usize]).collect();
+        let mut batch: Vec<f32> = chosen.iter().flat_map(|(input, _)| input.iter().copied()).collect();
         if let Some(Rounding { limit, .. }) = rounding {
             batch.iter_mut().for_each(|value| *value = rounded(value.clamp(-limit, *limit), limit / 127.5));
         }
@@ -271,14 +307,13 @@ fn run(
         }
         gradient.clear();
         if let Some(last) = layers.last() {
-            for (logits, row) in last.made.chunks_exact(labels).zip(&chosen) {
-                let label = rows[*row].1;
-                let scale = weight(label) / plan.batch as f32;
+            for (logits, (_, label)) in last.made.chunks_exact(labels).zip(&chosen) {
+                let scale = weights[*label] / plan.batch as f32;
                 let probabilities = crate::tflite::softmax(logits);
-                gradient.extend(probabilities.iter().enumerate().map(|(n, probability)| {
-                    let target = if n == label { spread + 1.0 - plan.label_smoothing } else { spread };
-                    scale * (probability - target)
-                }));
+                let of = |(n, probability): (usize, &f32)| {
+                    scale * (probability - plan.target(n == *label, labels))
+                };
+                gradient.extend(probabilities.iter().enumerate().map(of));
             }
         }
         for index in (0..layers.len()).rev() {
@@ -288,12 +323,7 @@ fn run(
             layer.backward(done.last().map_or(&batch, |layer| &layer.made), &mut gradient, wanted);
             std::mem::swap(&mut gradient, &mut before);
         }
-        let warm = ((step + 1) as f64 / plan.warm_up as f64).min(1.0);
-        let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
-        let rate = plan.learning_rate * warm * fall;
-        // At first, the average must forget quickly, so that it does not retain the start.
-        let time = (step + 1) as f64;
-        let keep = plan.keep.min((1.0 + time) / (10.0 + time)) as f32;
+        let (rate, keep) = (plan.rate(step), plan.kept(step) as f32);
         for layer in &mut layers {
             let decay = 2.0 * plan.decay as f32;
             let Changing { values, gradient, .. } = &mut layer.weights;

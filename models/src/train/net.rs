@@ -2,8 +2,7 @@
 
 use candle_core::{Result, Tensor, Var};
 
-use super::quantise;
-
+use super::fit::Rounding;
 use crate::tflite::FloatLayer;
 
 /// Weights (inputs × outputs) and biases of each layer.
@@ -26,37 +25,21 @@ pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
     Ok(x)
 }
 
-/// Simulates the rounding of int8 during training. The gradient ignores the rounding.
-pub(super) struct Rounding {
-    /// Largest input.
-    limit: f64,
-    /// Minimum and maximum output of each layer.
-    ranges: Vec<(f64, f64)>,
-}
-
-impl Rounding {
-    /// Creates the int8 simulation, whose ranges are those of the outputs for `rows`.
-    pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
-        let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
-        let ranges = quantise::ranges(layers, &inputs);
-        let wide = |(low, high): (f32, f32)| (f64::from(low), f64::from(high));
-        Self { limit: f64::from(limit), ranges: ranges.into_iter().map(wide).collect() }
-    }
-
-    /// As [`forward`], rounded.
-    pub fn forward(&self, layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
-        let mut x = steps(&inputs.clamp(-self.limit, self.limit)?, self.limit / 127.5)?;
-        for (index, ((weights, biases), (low, high))) in layers.iter().zip(&self.ranges).enumerate() {
-            let largest = weights.as_tensor().detach().abs()?.max_all()?.to_scalar::<f32>()?;
-            let weights = steps(weights.as_tensor(), f64::from(largest).max(1e-9) / 127.0)?;
-            x = x.matmul(&weights)?.broadcast_add(biases)?;
-            if index + 1 < layers.len() {
-                x = x.relu()?;
-            }
-            x = steps(&x.clamp(*low, *high)?, (high - low).max(1e-9) / 255.0)?;
+/// As [`forward`], with the rounding of int8. The gradient ignores the rounding.
+pub(super) fn forward_rounded(layers: &Layers, inputs: &Tensor, rounding: &Rounding) -> Result<Tensor> {
+    let limit = f64::from(rounding.limit);
+    let mut x = steps(&inputs.clamp(-limit, limit)?, limit / 127.5)?;
+    for (index, ((weights, biases), (low, high))) in layers.iter().zip(&rounding.ranges).enumerate() {
+        let (low, high) = (f64::from(*low), f64::from(*high));
+        let largest = weights.as_tensor().detach().abs()?.max_all()?.to_scalar::<f32>()?;
+        let weights = steps(weights.as_tensor(), f64::from(largest).max(1e-9) / 127.0)?;
+        x = x.matmul(&weights)?.broadcast_add(biases)?;
+        if index + 1 < layers.len() {
+            x = x.relu()?;
         }
-        Ok(x)
+        x = steps(&x.clamp(low, high)?, (high - low).max(1e-9) / 255.0)?;
     }
+    Ok(x)
 }
 
 /// Rounds to whole steps; the gradient is that of the values before rounding.

@@ -8,19 +8,18 @@
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use super::fit::{Steps, equalise};
-use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
+use super::fit::{Rounding, Steps, equalise, label_weights};
+use super::net::{Layers, export, forward, forward_rounded, on_one_thread, vars};
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
 /// The start of a network.
 pub(super) enum Start<'a> {
-    /// Creates random weights for these hidden widths.
+    /// Random weights for these hidden widths.
     Widths(&'a [usize]),
     /// The weights of a network.
     Layers(&'a [FloatLayer]),
@@ -107,20 +106,13 @@ fn one(
     let vars = vars(&layers);
     let mut average: Vec<Tensor> = vars.iter().map(|var| var.as_tensor().copy()).collect::<Result<_>>()?;
 
-    let mut counts = vec![0usize; labels];
-    for (_, label) in rows {
-        counts[*label] += 1;
-    }
-    let weight = |label: usize| rows.len() as f32 / (labels * counts[label].max(1)) as f32;
+    let weights = label_weights(rows, labels);
     let inputs: Vec<f32> = rows.iter().flat_map(|(input, _)| input.iter().copied()).collect();
-    let spread = plan.label_smoothing / labels as f32;
     let targets: Vec<f32> = rows
         .iter()
         .flat_map(|(_, label)| {
-            let target =
-                move |n: usize| if n == *label { spread + 1.0 - plan.label_smoothing } else { spread };
-            let weight = weight(*label);
-            (0..labels).map(move |n| weight * target(n))
+            let weight = weights[*label];
+            (0..labels).map(move |n| weight * plan.target(n == *label, labels))
         })
         .collect();
     let inputs = Tensor::from_vec(inputs, (rows.len(), width), &Device::Cpu)?;
@@ -129,11 +121,10 @@ fn one(
     let params = ParamsAdamW { lr: plan.learning_rate, weight_decay: 0.0, ..Default::default() };
     let mut optimizer = AdamW::new(vars.clone(), params)?;
     for step in 0..plan.count {
-        let chosen: Vec<u32> = (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32)).collect();
-        let chosen = Tensor::from_vec(chosen, plan.batch, &Device::Cpu)?;
+        let chosen = Tensor::from_vec(plan.drawn(rows.len(), &mut rng), plan.batch, &Device::Cpu)?;
         let (x, y) = (inputs.index_select(&chosen, 0)?, targets.index_select(&chosen, 0)?);
         let logits = match rounding {
-            Some(rounding) => rounding.forward(&layers, &x)?,
+            Some(rounding) => forward_rounded(&layers, &x, rounding)?,
             None => forward(&layers, &x)?,
         };
         let logs = candle_nn::ops::log_softmax(&logits, D::Minus1)?;
@@ -141,13 +132,9 @@ fn one(
         for (weights, _) in &layers {
             loss = (loss + weights.sqr()?.sum_all()?.affine(plan.decay, 0.0)?)?;
         }
-        let warm = ((step + 1) as f64 / plan.warm_up as f64).min(1.0);
-        let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
-        optimizer.set_learning_rate(plan.learning_rate * warm * fall);
+        optimizer.set_learning_rate(plan.rate(step));
         optimizer.backward_step(&loss)?;
-        // At first, the average forgets quickly, so that it does not retain the random start.
-        let time = (step + 1) as f64;
-        let keep = plan.keep.min((1.0 + time) / (10.0 + time));
+        let keep = plan.kept(step);
         for (mean, var) in average.iter_mut().zip(&vars) {
             *mean = (mean.affine(keep, 0.0)? + var.as_tensor().detach().affine(1.0 - keep, 0.0)?)?;
         }

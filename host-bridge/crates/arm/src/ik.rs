@@ -146,7 +146,7 @@ pub fn search(
         while steps < until && length(&error) >= TOLERANCE {
             steps += 1;
             let mut tried = joints_rad;
-            let step = damped_step(arm, &poses, &error, damping);
+            let step = damped(&columns(arm, &poses), error, damping);
             for (joint, step) in tried.iter_mut().zip(step) {
                 // Longer steps would leave the range in which the angles are almost linear.
                 *joint += step.clamp(-0.5, 0.5);
@@ -214,8 +214,9 @@ fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose;
     ([way.x, way.y, way.z, turn.x, turn.y, turn.z], poses)
 }
 
-/// Jᵀ (J Jᵀ + λ I)⁻¹ e
-fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping: f64) -> Joints {
+/// Returns what the flange does per unit of each joint, in the base frame: its speed, then its turn rate.
+/// `poses` are the links' frames and the flange's.
+pub(crate) fn columns(arm: &SerialArm, poses: &[Pose; JOINTS + 1]) -> [Six; JOINTS] {
     let tip = poses[JOINTS].position_m;
     let mut columns = [[0.0; 6]; JOINTS];
     for (i, joint) in arm.joints.iter().enumerate() {
@@ -227,6 +228,11 @@ fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping
         let lever = axis.cross(tip - poses[i].position_m);
         columns[i] = [lever.x, lever.y, lever.z, axis.x, axis.y, axis.z];
     }
+    columns
+}
+
+/// Jᵀ (J Jᵀ + λ I)⁻¹ e
+pub(crate) fn damped(columns: &[Six; JOINTS], wanted: Six, damping: f64) -> Joints {
     let mut normal = [[0.0; 6]; 6];
     for (row, line) in normal.iter_mut().enumerate() {
         for (col, value) in line.iter_mut().enumerate() {
@@ -234,12 +240,12 @@ fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping
         }
         line[row] += damping;
     }
-    let weights = solve_symmetric(normal, *error);
+    let weights = solve_symmetric(normal, wanted);
     columns.map(|column| (0..6).map(|k| column[k] * weights[k]).sum())
 }
 
 /// Solves A x = b for a symmetric, positive definite A (Cholesky).
-pub(crate) fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
+fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
     for i in 0..6 {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();

@@ -7,13 +7,11 @@
 
 use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints, Motion};
 
-use crate::ik::solve_symmetric;
+use crate::ik::{columns, damped};
 use crate::model::SerialArm;
 
 /// Damping, in m and rad alike: far below what an arm in a usual pose has, far above rounding.
 const DAMPING: f64 = 0.03;
-/// Angles are turned by this much to see what it does to the flange.
-const NUDGE: f64 = 1e-5;
 /// An orientation that has drifted is brought back at this rate, in 1/s.
 const BACK_PER_S: f64 = 1.0;
 /// Joints keep this far from their limits.
@@ -51,8 +49,9 @@ pub fn joint_speeds(
     hold: &DMat3,
     limits: &JointLimits,
 ) -> Result<Joints, Stuck> {
-    let columns = columns(arm, joints_rad);
-    let drift = turn(&(*hold * arm.flange_pose(joints_rad).rotation.transpose())) * BACK_PER_S;
+    let poses = arm.link_poses(joints_rad);
+    let columns = columns(arm, &poses);
+    let drift = turn(&(*hold * poses[JOINTS].rotation.transpose())) * BACK_PER_S;
     // Too few joints for an orientation keep the place alone.
     let asks_turn = arm.joints.len() >= 6;
     let columns = if asks_turn { columns } else { columns.map(|[x, y, z, ..]| [x, y, z, 0.0, 0.0, 0.0]) };
@@ -61,7 +60,7 @@ pub fn joint_speeds(
     let over =
         |speeds: &Joints| (0..JOINTS).map(|i| speeds[i].abs() / limits.velocity_rad_s[i]).fold(1.0, f64::max);
     // As fast as the joints can be, before any of them is held back for its limit.
-    let slower = 1.0 / over(&damped(&columns, wanted));
+    let slower = 1.0 / over(&damped(&columns, wanted, DAMPING * DAMPING));
     let (wanted, tool_m_s) = (wanted.map(|speed| speed * slower), tool_m_s * slower);
 
     let mut fixed: [Option<f64>; JOINTS] = [None; JOINTS];
@@ -73,7 +72,7 @@ pub fn joint_speeds(
         });
         let free: [Column; JOINTS] =
             std::array::from_fn(|i| if fixed[i].is_some() { [0.0; 6] } else { columns[i] });
-        let solved = damped(&free, left);
+        let solved = damped(&free, left, DAMPING * DAMPING);
         speeds = std::array::from_fn(|i| fixed[i].unwrap_or(solved[i]));
         let beyond = |i: &usize| {
             let (low, high) = allowed(arm, *i, joints_rad[*i], limits);
@@ -128,39 +127,10 @@ fn allowed(arm: &SerialArm, i: usize, angle_rad: f64, limits: &JointLimits) -> (
     (-stops(angle_rad - low), stops(high - angle_rad))
 }
 
-/// From small turns of each joint to what the flange does: whatever kind of joint it is.
-fn columns(arm: &SerialArm, joints_rad: &Joints) -> [Column; JOINTS] {
-    let mut columns = [[0.0; 6]; JOINTS];
-    for (i, column) in columns.iter_mut().enumerate().take(arm.joints.len()) {
-        let [one, two] = [NUDGE, -NUDGE].map(|by| {
-            let mut nudged = *joints_rad;
-            nudged[i] += by;
-            arm.flange_pose(&nudged)
-        });
-        let way = (one.position_m - two.position_m) / (2.0 * NUDGE);
-        let turned = turn(&(one.rotation * two.rotation.transpose())) / (2.0 * NUDGE);
-        *column = [way.x, way.y, way.z, turned.x, turned.y, turned.z];
-    }
-    columns
-}
-
 /// A small turn as axis times angle; of a larger one the sine of the angle.
 fn turn(rotation: &DMat3) -> DVec3 {
     let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
     0.5 * DVec3::new(y.z - z.y, z.x - x.z, x.y - y.x)
-}
-
-/// Jᵀ (J Jᵀ + λ² I)⁻¹ v
-fn damped(columns: &[Column; JOINTS], wanted: Column) -> Joints {
-    let mut normal = [[0.0; 6]; 6];
-    for (row, line) in normal.iter_mut().enumerate() {
-        for (col, value) in line.iter_mut().enumerate() {
-            *value = columns.iter().map(|c| c[row] * c[col]).sum();
-        }
-        line[row] += DAMPING * DAMPING;
-    }
-    let weights = solve_symmetric(normal, wanted);
-    columns.map(|column| (0..6).map(|k| column[k] * weights[k]).sum())
 }
 
 #[cfg(test)]

@@ -229,8 +229,7 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// The hand may touch the object, and a held object may touch its support.
-    /// The permitted contacts are with the object and, for a held object, with its support.
+    /// Returns the permitted contacts: with the object and, for a held object, with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);

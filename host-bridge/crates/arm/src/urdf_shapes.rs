@@ -148,8 +148,7 @@ impl Found {
         if let Geometry::Mesh { filename, .. } = &collision.geometry {
             if let Some(points) = hull_points(filename) {
                 self.capsules.extend(crate::hull::capsules(&points).iter().map(|c| c.seen_from(&pose)));
-                let points_m = points.iter().map(|point| pose.at(*point)).collect();
-                self.solids.push(Solid { points_m, radius_m: 0.0 });
+                self.solids.push(Solid { points_m: points, radius_m: 0.0 }.seen_from(&pose));
             }
             return;
         }

@@ -75,7 +75,7 @@ enum Phase {
     /// The board has stored the model, and will use it after its next start.
     Kept { model_id: u32 },
     /// The work is done or was abandoned; the text says which.
-    Over { text: String, is_done: bool },
+    Over(String),
 }
 
 enum After {
@@ -87,7 +87,7 @@ impl Showing {
     /// Asks for these gestures. `boot_id` identifies the board's start, and requests are numbered from `request`.
     pub fn new(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
         let phase = if labels.is_empty() {
-            Phase::Over { text: "the model knows no gesture that could be shown".to_owned(), is_done: false }
+            Phase::Over("the model knows no gesture that could be shown".to_owned())
         } else {
             Phase::Asking
         };
@@ -142,14 +142,14 @@ impl Showing {
             Phase::Kept { model_id } => {
                 format!("the board has model {model_id:08x}; press its reset button, and it is used")
             }
-            Phase::Over { text, .. } => text.clone(),
+            Phase::Over(text) => text.clone(),
         }
     }
 
     /// Returns the current effect of the key or button.
     pub fn button(&self) -> Option<&'static str> {
         match self.phase {
-            Phase::Over { .. } => None,
+            Phase::Over(_) => None,
             Phase::Kept { .. } => Some("later"),
             _ => Some("give up"),
         }
@@ -161,17 +161,14 @@ impl Showing {
         (label, self.shown.len() % TIMES + 1)
     }
 
-    /// Returns whether the work is over, and whether the board uses the sent model.
-    pub fn is_over(&self) -> Option<bool> {
-        match self.phase {
-            Phase::Over { is_done, .. } => Some(is_done),
-            _ => None,
-        }
+    /// Returns whether the work is over.
+    pub fn is_over(&self) -> bool {
+        matches!(self.phase, Phase::Over(_))
     }
 
     /// Returns whether gestures have no effect, because they are being shown or their model is being sent.
     pub fn holds_gestures(&self) -> bool {
-        !matches!(self.phase, Phase::Kept { .. } | Phase::Over { .. })
+        !matches!(self.phase, Phase::Kept { .. } | Phase::Over(_))
     }
 
     /// Returns all recordings once when they are complete. They are used for training, and [`Showing::learnt`] follows.
@@ -194,7 +191,7 @@ impl Showing {
             blob.and_then(|blob| Upload::new(&blob, self.request).map_err(|error| error.to_string()));
         self.phase = match upload {
             Ok(upload) => Phase::Sending { upload, reached: 0 },
-            Err(why) => Phase::Over { text: why, is_done: false },
+            Err(why) => Phase::Over(why),
         };
         self.since_ms = now_ms;
     }
@@ -202,14 +199,13 @@ impl Showing {
     /// The wearer gives up. The board continues to use its current model.
     pub fn cancel(&mut self, why: &str, now_ms: u64) {
         if let Phase::Kept { model_id } = self.phase {
-            let text = format!("the board uses model {model_id:08x} from its next start on");
-            self.phase = Phase::Over { text, is_done: false };
+            self.phase = Phase::Over(format!("the board uses model {model_id:08x} from its next start on"));
         } else if matches!(self.phase, Phase::Back(After::GiveUp(_))) {
             // The wearer has already given up.
         } else if self.records {
             self.go(Phase::Back(After::GiveUp(why.to_owned())), now_ms);
-        } else if self.is_over().is_none() {
-            self.phase = Phase::Over { text: format!("given up: {why}"), is_done: false };
+        } else if !self.is_over() {
+            self.phase = Phase::Over(format!("given up: {why}"));
         }
     }
 
@@ -232,14 +228,12 @@ impl Showing {
 
     /// Processes bytes from the board, in portions of any size.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64) {
-        // The message borrows the decoder's buffer, while its processing needs the rest.
-        let mut decoder = std::mem::take(&mut self.decoder);
         for &byte in bytes {
-            if let Some(said) = decoder.push_board(byte).and_then(|message| owned(&message)) {
+            let said = self.decoder.push_board(byte).and_then(|message| owned(&message));
+            if let Some(said) = said {
                 self.hear(&said, now_ms);
             }
         }
-        self.decoder = decoder;
     }
 
     fn go(&mut self, phase: Phase, now_ms: u64) {
@@ -271,7 +265,7 @@ impl Showing {
                     After::GiveUp(why) => why.clone(),
                 };
                 self.records = false;
-                self.phase = Phase::Over { text: format!("{text}; restart the board"), is_done: false };
+                self.phase = Phase::Over(format!("{text}; restart the board"));
             }
             Phase::Sending { upload, reached } => {
                 let done = upload.progress().0;
@@ -282,7 +276,7 @@ impl Showing {
                 } else if passed_ms >= SENDING_MS {
                     let text = "the transfer made no progress for a minute; the board keeps its old model. Check the \
                                 link and try again";
-                    self.phase = Phase::Over { text: text.to_owned(), is_done: false };
+                    self.phase = Phase::Over(text.to_owned());
                     return;
                 }
                 match stage {
@@ -290,7 +284,7 @@ impl Showing {
                         let model_id = upload.model_id();
                         self.go(Phase::Kept { model_id }, now_ms);
                     }
-                    Stage::Failed(why) => self.phase = Phase::Over { text: why, is_done: false },
+                    Stage::Failed(why) => self.phase = Phase::Over(why),
                     _ => {}
                 }
             }
@@ -318,7 +312,7 @@ impl Showing {
                     self.records = false;
                     match std::mem::replace(&mut self.phase, Phase::Asking) {
                         Phase::Back(After::GiveUp(why)) => {
-                            self.phase = Phase::Over { text: format!("given up: {why}"), is_done: false };
+                            self.phase = Phase::Over(format!("given up: {why}"));
                         }
                         _ => self.go(Phase::Learning { taken: false }, now_ms),
                     }
@@ -345,17 +339,15 @@ impl Showing {
         match &mut self.phase {
             Phase::Sending { upload, .. } => upload.restarted(),
             Phase::Kept { model_id: wanted } => {
-                let is_done = *wanted == model_id;
-                let text = if is_done {
+                self.phase = Phase::Over(if *wanted == model_id {
                     format!("the board runs model {model_id:08x} now: draw, and see")
                 } else {
                     format!(
                         "the board started with model {model_id:08x}, not with the new one; send it again"
                     )
-                };
-                self.phase = Phase::Over { text, is_done };
+                });
             }
-            Phase::Learning { .. } | Phase::Over { .. } => {}
+            Phase::Learning { .. } | Phase::Over(_) => {}
             // A board starts in its usual mode.
             _ => {
                 self.records = false;
@@ -366,7 +358,7 @@ impl Showing {
 
     fn refused(&mut self, why: &str) {
         self.records = false;
-        self.phase = Phase::Over { text: why.to_owned(), is_done: false };
+        self.phase = Phase::Over(why.to_owned());
     }
 
     fn get_ready(&mut self, time_ms: u64, now_ms: u64) {

@@ -93,7 +93,8 @@ fn ramp(change_rad_s: &Joints, limits: &JointLimits) -> Ramp {
 }
 
 impl Trajectory {
-    fn ending_at(to_rad: Joints) -> Self {
+    /// Creates a trajectory on which nothing moves.
+    pub fn at_rest(to_rad: Joints) -> Self {
         Trajectory { pieces: Vec::new(), corners_s: Vec::new(), to_rad, duration_s: 0.0 }
     }
 
@@ -101,7 +102,7 @@ impl Trajectory {
     /// The arm stops at the corners that `stops` selects, and slightly cuts the others.
     /// The first entry of `stops` is for the first corner after the start.
     pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
-        let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
+        let mut trajectory = Trajectory::at_rest(path_rad.last().copied().unwrap_or_default());
         let mut start = 0;
         for end in 1..path_rad.len() {
             if end + 1 == path_rad.len() || stops.get(end - 1).copied().unwrap_or(false) {
@@ -121,11 +122,6 @@ impl Trajectory {
         Trajectory { to_rad: next.to_rad, duration_s: after_s + next.duration_s, ..self }
     }
 
-    /// Nothing moves.
-    pub fn at_rest(joints_rad: Joints) -> Self {
-        Trajectory::ending_at(joints_rad)
-    }
-
     /// Returns this motion up to `at_s`, after which the arm changes to the given acceleration within `for_s` seconds.
     /// The jerk is constant (or unlimited). Finally, the arm brakes. Parts over `keep_s` before `at_s` are cut.
     #[must_use]
@@ -138,7 +134,7 @@ impl Trajectory {
         keep_s: f64,
     ) -> Self {
         let mut from = self.motion(at_s);
-        let mut next = Trajectory::ending_at(from.joints_rad);
+        let mut next = Trajectory::at_rest(from.joints_rad);
         let is_kept =
             |piece: &&Piece| piece.start_s < at_s && piece.start_s + piece.duration_s > at_s - keep_s;
         next.pieces = self.pieces.iter().filter(is_kept).copied().collect();
@@ -167,7 +163,7 @@ impl Trajectory {
     /// Within a blend, speed and acceleration have different directions.
     /// There, the acceleration of all joints is reduced to zero before braking begins.
     pub fn braking(from: Motion, limits: &JointLimits) -> Self {
-        let mut trajectory = Trajectory::ending_at(from.joints_rad);
+        let mut trajectory = Trajectory::at_rest(from.joints_rad);
         let release_s = most(&from.acceleration_rad_s2, &limits.jerk_rad_s3);
         if release_s > 0.0 && trajectory.brake_on_the_line(from, limits) {
             return trajectory;

@@ -47,8 +47,6 @@ fn wall_s() -> f64 {
 impl Robot for RosDriver {
     fn hear(&mut self, now_ms: u64) {
         self.now_ms = now_ms;
-        // What comes is stamped with this time, from which the robot's clock is known.
-        self.robot.hear(now_ms);
         self.notes.extend(self.node.receive(&mut self.robot, wall_s(), now_ms));
         self.refusal = self.node.refusal(now_ms);
     }

@@ -15,6 +15,9 @@ use host_topics::message as ros;
 
 type Client = ActionClient<ros::FollowGoal, ros::FollowResult, ros::FollowFeedback>;
 
+/// The last part of the topic with the status of a controller's action.
+pub const STATUS: &str = "/follow_joint_trajectory/_action/status";
+
 /// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
 
@@ -35,7 +38,7 @@ impl Follow {
         Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
     }
 
-    /// Looks for the action's server. Returns whether goals may be sent, and a message for the user.
+    /// Looks for the action's server. Returns whether goals may be sent.
     ///
     /// # Errors
     /// Fails if the client cannot be created.

@@ -104,7 +104,7 @@ pub fn about(name: &str, kind: usize) -> String {
     format!("the gripper is {name} ({})", KINDS[kind].0)
 }
 
-/// Explains why a server with a different action is not used.
+/// Explains why a server that executes another program's goal is not used.
 pub fn at_work(name: &str) -> String {
     format!("{name} is at a goal of another program")
 }

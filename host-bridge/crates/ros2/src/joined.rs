@@ -17,7 +17,7 @@ use serde::Serialize;
 use super::advice::{Endpoint, Graph, Participant};
 use super::config::{ArmInterface, Connection, Ros2Config};
 use super::estop::Inputs;
-use super::follow::Follow;
+use super::follow::{Follow, STATUS};
 use super::grip::Gripper;
 use super::transport::{NodeError, ToldState};
 use super::vendor::Vendor;
@@ -62,7 +62,7 @@ pub struct SimTopics {
     pub tf: Publisher<ros::TfMessage>,
     /// The robot description, which late subscribers also receive.
     pub description: Option<Publisher<ros::Text>>,
-    /// That was published.
+    /// Whether the description was published.
     pub is_described: bool,
 }
 
@@ -187,7 +187,7 @@ impl Joined {
             ArmInterface::None | ArmInterface::Action => None,
             ArmInterface::Topic | ArmInterface::Stream => Some(subscription_with(
                 &mut node,
-                &format!("{controller}/follow_joint_trajectory/_action/status"),
+                &format!("{controller}{STATUS}"),
                 ("action_msgs", "GoalStatusArray"),
                 &latched(),
             )?),

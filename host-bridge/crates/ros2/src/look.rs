@@ -7,14 +7,12 @@ use host_topics::message as ros;
 use ros2_client::Subscription;
 
 use super::config::{Carrier, Connection, Ros2Config};
+use super::follow::STATUS;
 use super::joined::{bare, latched, subscription_with};
 use super::transport::NodeError;
 
 /// The graph is read for at least this long, because end points are discovered one after the other.
 const SETTLE: Duration = Duration::from_millis(2500);
-
-/// The last part of the topic with the status of a controller's action.
-const STATUS: &str = "/follow_joint_trajectory/_action/status";
 
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -7,10 +7,10 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 
 use super::advice::{Endpoint, Graph, Heard, topics, wire};
-use super::clocks::{Clocks, Difference, Source};
+use super::clocks::{Clocks, Source};
 use super::config::{Connection, Ros2Config};
 use super::estop::Inputs;
-use super::follow::{named, servers};
+use super::follow::{STATUS, named, servers};
 use super::publisher::{RosPublisher, Simulator, lock};
 use super::robot::{Counts, Output, RosRobot};
 use super::transport::{self, ArmWay, Came, NodeError, Opened, Sent, Transport, Voice};
@@ -36,7 +36,6 @@ pub struct RosNode {
     opening: Option<Receiver<Result<Opened, NodeError>>>,
     clocks: Clocks,
     heard: Heard,
-    controller_state: Option<(u64, ros::ControllerState)>,
     /// E-stop and fault flag.
     inputs: Inputs,
     looked_ms: Option<u64>,
@@ -77,7 +76,6 @@ impl RosNode {
             opening: None,
             clocks: Clocks::default(),
             heard: Heard::default(),
-            controller_state: None,
             inputs: Inputs::new(config),
             looked_ms: None,
             watched_ms: None,
@@ -104,21 +102,6 @@ impl RosNode {
         rivals(&self.config, &graph)
     }
 
-    /// Returns whether the node is on the graph and its threads are alive.
-    pub fn is_alive(&self) -> bool {
-        self.joined.as_ref().is_some_and(|joined| joined.is_alive())
-    }
-
-    /// Returns the robot's clock minus its reference, or `None` if the robot sends no stamps.
-    pub fn clock_difference(&self, now_ms: u64) -> Option<Difference> {
-        self.clocks.difference(now_ms)
-    }
-
-    /// Returns the robot's current time in seconds for trajectories, or `None` if it is unknown.
-    pub fn robot_time_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
-        self.clocks.robot_s(wall_s, now_ms)
-    }
-
     /// Returns the reason why the robot may not be armed, or `None`.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if self.joined.is_none() {
@@ -129,6 +112,7 @@ impl RosNode {
 
     /// Processes messages received at `wall_s` (seconds since 1970). Returns messages for the user.
     pub fn receive(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) -> Vec<String> {
+        // What comes is stamped with this time, from which the robot's clock is known.
         robot.at(now_ms);
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
@@ -160,7 +144,7 @@ impl RosNode {
     fn hear(&mut self, wall_s: f64, now_ms: u64, mut see: impl FnMut(&Came)) {
         let Some(joined) = &mut self.joined else { return };
         let (heard, clocks, inputs) = (&mut self.heard, &mut self.clocks, &mut self.inputs);
-        let (counts, controller_state) = (&mut self.counts, &mut self.controller_state);
+        let counts = &mut self.counts;
         joined.take(&mut |came| {
             match &came {
                 Came::Clock(clock) => {
@@ -175,10 +159,7 @@ impl RosNode {
                 Came::Base(odom) => {
                     clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
                 }
-                Came::Controller(told) => {
-                    heard.controller_states += 1;
-                    *controller_state = Some((now_ms, told.state.clone()));
-                }
+                Came::Controller(_) => heard.controller_states += 1,
                 Came::ForeignGoals(_) => {}
             }
             see(&came);
@@ -209,11 +190,6 @@ impl RosNode {
             refusal: self.clocks.refusal(now_ms),
             ..self.heard.clone()
         }
-    }
-
-    /// Returns the last report of the arm's controller about itself, and its time of arrival.
-    pub fn controller_state(&self) -> Option<&(u64, ros::ControllerState)> {
-        self.controller_state.as_ref()
     }
 
     /// Reopens a node whose threads have ended, and halts the robot in the meantime.
@@ -314,10 +290,8 @@ impl RosNode {
                     ours.is_some_and(|ours| r.topic == ours.topic && r.type_name == ours.type_name)
                 };
                 let controllers: Vec<&Endpoint> = graph.readers.iter().filter(match_of).collect();
-                let status = wire::topic(&format!(
-                    "{}/follow_joint_trajectory/_action/status",
-                    self.config.resolve(&self.config.arm_controller)
-                ));
+                let controller = self.config.resolve(&self.config.arm_controller);
+                let status = wire::topic(&(controller + STATUS));
                 if !graph.writers.iter().any(|w| w.topic == status) {
                     // If the server disappears, its goals disappear too.
                     robot.set_foreign_goals(0);

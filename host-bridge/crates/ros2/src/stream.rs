@@ -132,9 +132,7 @@ impl Stream {
                 return Err(Late);
             }
         }
-        let from_s = (elapsed_s.max(0.0) + HORIZON_MS as f64 / 1000.0).min(trajectory.duration_s());
-        self.sent = Some((now_ms, from_s));
-        Ok(Some(self.points(trajectory, limits, elapsed_s, from_s)))
+        Ok(Some(self.piece(trajectory, limits, now_ms, elapsed_s)))
     }
 
     /// The next piece of a motion that is continued otherwise from `change_s` on. `Err` = the robot could be there already;
@@ -154,9 +152,20 @@ impl Stream {
         if self.braking.is_some() || is_too_late || elapsed_s + STOP_LEAD_S > change_s {
             return Err(Late);
         }
+        Ok(self.piece(trajectory, limits, now_ms, elapsed_s))
+    }
+
+    /// A piece that follows the trajectory for [`HORIZON_MS`] from now on.
+    fn piece(
+        &mut self,
+        trajectory: &Trajectory,
+        limits: &JointLimits,
+        now_ms: u64,
+        elapsed_s: f64,
+    ) -> Vec<JointTrajectoryPoint> {
         let from_s = (elapsed_s.max(0.0) + HORIZON_MS as f64 / 1000.0).min(trajectory.duration_s());
         self.sent = Some((now_ms, from_s));
-        Ok(self.points(trajectory, limits, elapsed_s, from_s))
+        self.points(trajectory, limits, elapsed_s, from_s)
     }
 
     /// A piece that brakes now.

@@ -139,7 +139,7 @@ pub trait Voice: Send {
     fn diagnose(&mut self, message: ros::DiagnosticArray);
     /// Publishes whether this program's operator has stopped. Returns whether the message was accepted for sending.
     fn say_stopped(&mut self, stopped: bool) -> bool;
-    /// Begins to publish the simulator's state.
+    /// Returns whether the simulator's state is published.
     fn has_simulator(&self) -> bool;
     /// Ceases to publish the simulator's state.
     fn end_simulator(&mut self);

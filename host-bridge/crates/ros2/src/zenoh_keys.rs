@@ -2,7 +2,7 @@
 //! This module is sans-IO. Its source is rmw_zenoh's code (`liveliness_utils`, `attachment_helpers`, `qos`).
 //! The names are compatible according to this source, but were not tested with rmw_zenoh itself.
 
-use super::advice::Endpoint;
+use super::advice::{Endpoint, wire};
 use super::hashes;
 use super::vendor::Vendor;
 
@@ -195,8 +195,8 @@ impl Told {
     pub fn endpoint(&self) -> Option<(Endpoint, bool)> {
         let (named, quality) = self.end.as_ref()?;
         let (topic, type_name, reads) = match self.entity {
-            Entity::Publisher => (format!("rt{}", named.name), named.type_name.clone(), false),
-            Entity::Subscription => (format!("rt{}", named.name), named.type_name.clone(), true),
+            Entity::Publisher => (wire::topic(&named.name), named.type_name.clone(), false),
+            Entity::Subscription => (wire::topic(&named.name), named.type_name.clone(), true),
             Entity::Server => {
                 (format!("rq{}Request", named.name), format!("{}Request_", named.type_name), true)
             }

@@ -256,10 +256,7 @@ impl Cmd {
             None if apart => self.out.join(Part::Training.name()),
             _ => self.out.clone(),
         };
-        let texts: Vec<String> = items
-            .par_iter()
-            .map(|item| item.recording.to_csv().replacen("timestamp_ms", "timestamp", 1))
-            .collect();
+        let texts: Vec<String> = items.par_iter().map(|item| item.recording.to_edge_impulse_csv()).collect();
         let mut known = known(&self.out)?;
         let mut writes = Vec::new();
         let mut numbers: BTreeMap<(PathBuf, String), u32> = BTreeMap::new();

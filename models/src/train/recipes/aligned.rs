@@ -43,7 +43,7 @@ pub struct Aligned {
     pub daily: Daily,
 }
 
-/// Returns the recipe with its default parameters.
+/// The recipe with its default parameters.
 pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 

@@ -117,12 +117,12 @@ impl<R: Robot> Director<R> {
             Act::Grip { opening_m, effort_n, .. } => {
                 let flange = self.flange_for_grip()?;
                 self.grip_before_m = self.things.opening_m;
-                let between = self.shop().between(&self.things, &flange);
+                let between = self.site.shop().between(&self.things, &flange);
                 let held = self.things.held();
                 // An object that is already held is between the fingers.
                 let between_m = between.map(|(_, width_m)| width_m).or(held.and(self.things.opening_m));
                 self.robot.grip(Grip { opening_m: *opening_m, effort_n: *effort_n, between_m })?;
-                self.things.touch = self.shop().touching(&self.things, &flange);
+                self.things.touch = self.site.shop().touching(&self.things, &flange);
             }
             Act::Wait { .. } => {}
         }
@@ -180,9 +180,8 @@ impl<R: Robot> Director<R> {
         if let Some(refusal) = self.robot.refusal() {
             return Err(refusal);
         }
-        let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
-        if silent_ms > SILENCE_MS {
-            return Err(format!("nobody has commanded for {silent_ms} ms"));
+        if let Some(silence) = self.silence() {
+            return Err(silence);
         }
         if let Some(planned) = planned {
             let here = Placement::from(self.known_base()?.odometry);
@@ -193,7 +192,7 @@ impl<R: Robot> Director<R> {
         }
         let Act::Follow { trajectory, .. } = next else { return Ok(()) };
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
-        let arm = &self.bare.arm;
+        let arm = self.site.arm();
         let start = arm.unwound(&trajectory.motion(0.0).joints_rad, &here.joints_rad);
         for (i, joint) in arm.joints.iter().enumerate() {
             let off = (here.joints_rad[i] - start[i]).abs();
@@ -202,6 +201,12 @@ impl<R: Robot> Director<R> {
             }
         }
         Ok(())
+    }
+
+    /// Returns the reason why nothing goes on by itself, if nobody has commanded for too long.
+    pub(super) fn silence(&self) -> Option<String> {
+        let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
+        (silent_ms > SILENCE_MS).then(|| format!("nobody has commanded for {silent_ms} ms"))
     }
 
     /// Returns whether the hand is at an object, or will be before the motion ends.
@@ -216,6 +221,7 @@ impl<R: Robot> Director<R> {
         let had = self.things.held();
         let mut told = None;
         if let Ok(flange) = self.flange_for_grip() {
+            let shop = self.site.shop();
             let mut things = self.things.clone();
             things.opening_m = before_m;
             // Distance moved by the fingers. Without a report, the gripper is at the requested width or has not moved.
@@ -227,14 +233,14 @@ impl<R: Robot> Director<R> {
                 _ => end == GripEnd::Reached,
             };
             if had.is_some() && has_moved {
-                told = self.shop().let_go_of(&mut things, &flange);
+                told = shop.let_go_of(&mut things, &flange);
             } else if end == GripEnd::Stalled && had.is_none() {
-                told = self.shop().gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
+                told = shop.gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
             }
             let attached = had.is_none() && things.held().is_some();
             let believed_m = if attached { things.opening_m } else { now_m };
             things.opening_m = felt_m.or(believed_m);
-            things.touch = self.shop().touching(&things, &flange);
+            things.touch = shop.touching(&things, &flange);
             self.things = things;
         }
         if end == GripEnd::Reached && closes_on && told.is_none() {
@@ -284,12 +290,12 @@ impl<R: Robot> Director<R> {
 
     /// Returns the pose of the flange, which is not needed if there is nothing to grip.
     fn flange_for_grip(&self) -> Result<host_robot::Pose, String> {
-        if self.shop().objects.is_empty() {
+        if self.site.shop().objects.is_empty() {
             return Ok(host_robot::Pose::IDENTITY);
         }
         let placement = Placement::from(self.known_base()?.odometry);
         let arm = self.robot.arm().ok_or("the arm's angles are not known, and so neither what is gripped")?;
-        Ok(self.flange_in_scene(placement, &arm.value.joints_rad))
+        Ok(self.site.flange(placement, &arm.value.joints_rad))
     }
 
     /// Returns the arm's progress on its trajectory in s.

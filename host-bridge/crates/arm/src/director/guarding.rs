@@ -40,7 +40,7 @@ impl<R: Robot> Director<R> {
 
     /// Permits the next tick of base and arm if both can stop after it; otherwise brakes.
     pub(super) fn guard(&mut self) {
-        let Some(planner) = self.planner.clone() else { return };
+        let Some(planner) = self.site.planner().cloned() else { return };
         if self.now_ms < self.guard_due_ms {
             return;
         }

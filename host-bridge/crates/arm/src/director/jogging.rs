@@ -19,22 +19,19 @@ use host_robot::{
 use crate::jog::{acceleration, joint_speeds};
 use crate::plan::guard::{Guard, Moving, TICK_MS};
 
-use super::carry::Running;
-use super::{Director, REST_RAD_S};
+use super::carry::{Running, SILENCE_MS};
+use super::sequence::can_start;
+use super::{Director, REST_RAD_S, Site, still_moves};
 
 /// Length of a piece.
 const PIECE_MS: u64 = 20;
 const PIECE_S: f64 = PIECE_MS as f64 / 1000.0;
 /// This much of what is past stays known: whoever compares the arm with its plan looks back.
 const KEEP_S: f64 = 1.0;
-/// What is older than this counts as zero.
-const SILENCE_MS: u64 = 250;
 /// Shares of the wanted speed that are tried, one after the other.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// People are told this seldom what keeps the tool from moving; every state shows it.
 const NOTES_MS: u64 = 1000;
-/// A base that is faster than this, in m/s or rad/s, has to rest first.
-const BASE_RESTS: f64 = 0.01;
 
 /// What a hand wants of the tool.
 #[derive(Clone, Debug, Default)]
@@ -105,11 +102,8 @@ impl<R: Robot> Director<R> {
             return Ok(false);
         }
         let from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);
-        self.bare
-            .arm
-            .check(&from_rad)
-            .map_err(|error| format!("the arm cannot start: {error}; bring it back within its limits"))?;
-        self.jog.hold = self.bare.arm.flange_pose(&from_rad).rotation;
+        can_start(self.site.arm(), &from_rad)?;
+        self.jog.hold = self.site.arm().flange_pose(&from_rad).rotation;
         let (plan, until_s) = self.extended(&Trajectory::at_rest(from_rad), 0.0, ahead_s + PIECE_S)?;
         let plan = Arc::new(plan);
         self.robot.follow(Arc::clone(&plan))?;
@@ -157,7 +151,7 @@ impl<R: Robot> Director<R> {
 
     /// The plan with one more piece, if one is allowed.
     fn piece(&self, plan: &Trajectory, at_s: f64) -> Result<Trajectory, String> {
-        let (arm, limits) = (&self.bare.arm, self.joint_limits());
+        let (arm, limits) = (self.site.arm(), self.joint_limits());
         let from = plan.motion(at_s);
         let mut refused = Err(String::new());
         for share in SHARES {
@@ -177,7 +171,7 @@ impl<R: Robot> Director<R> {
 
     /// Speeds and angles, up to rest.
     fn keeps_limits(&self, next: &Trajectory, at_s: f64, limits: &JointLimits) -> Result<(), String> {
-        let arm = &self.bare.arm;
+        let arm = self.site.arm();
         let fastest = next.fastest_rad_s(at_s, next.duration_s());
         let too_fast = |i: &usize| fastest[*i] > limits.velocity_rad_s[*i] * (1.0 + 1e-9);
         if let Some(i) = (0..arm.joints.len()).find(too_fast) {
@@ -194,20 +188,17 @@ impl<R: Robot> Director<R> {
     /// The guard: nothing is touched on the way, nor while braking after it. The base stands still. Without a scene the
     /// robot itself can still be touched.
     fn keeps_clear(&self, next: &Trajectory, at_s: f64) -> Result<(), String> {
-        let Some(world) = self.planner.as_ref().map(|planner| planner.world()).or(self.bare.alone.as_ref())
-        else {
-            return Err("nothing is known of what is around".to_owned());
-        };
-        let base = match &self.planner {
-            Some(_) => self.known_base().map_err(|why| format!("what is around is not known: {why}"))?,
+        let base = match &self.site {
+            Site::Scene(_) => {
+                self.known_base().map_err(|why| format!("what is around is not known: {why}"))?
+            }
             // Wherever it is, it is the same to the arm.
-            None => BaseState::default(),
+            Site::Bare(_) => BaseState::default(),
         };
-        let twist = base.odometry.twist;
-        if twist.linear_m_s.abs() > BASE_RESTS || twist.angular_rad_s.abs() > BASE_RESTS {
+        if still_moves(base.odometry.twist) {
             return Err("the base still moves".to_owned());
         }
-        let guard = Guard { world, limits: self.joint_limits(), things: &self.things };
+        let guard = Guard { world: self.site.world(), limits: self.joint_limits(), things: &self.things };
         let odometry = Odometry { twist: Twist::ZERO, ..base.odometry };
         let model = Base::at(*self.robot.base_limits(), &BaseState { odometry, ..base });
         let at = |time_s: f64| Moving { odometry, ..Moving::now(&model, next.motion(time_s)) };

@@ -28,8 +28,7 @@ use crate::motions::Motions;
 use crate::plan::guard::TICK_MS;
 use crate::plan::{Placement, Planner, World};
 use crate::scene::Scene;
-use crate::things::{Things, in_scene};
-use crate::tool::Tool;
+use crate::things::{Shop, Things, in_scene};
 
 use carry::Running;
 use jogging::Jog;
@@ -41,14 +40,55 @@ const CATCH_UP_MS: u64 = 10_000;
 /// A joint slower than this counts as at rest, because encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 
-/// The arm and its surroundings without a planner.
-#[derive(Debug)]
-struct Bare {
-    arm: SerialArm,
-    scene: Scene,
-    tool: Tool,
+/// The base still moves if it is faster than this, in m/s or rad/s.
+const BASE_REST: f64 = 0.01;
+
+/// Returns whether the base has not come to rest yet.
+fn still_moves(twist: Twist) -> bool {
+    twist.linear_m_s.abs() > BASE_REST || twist.angular_rad_s.abs() > BASE_REST
+}
+
+/// The arm, and what is around it.
+#[derive(Clone, Debug)]
+enum Site {
+    /// A scene, in which motions are planned.
+    Scene(Arc<Planner>),
     /// The robot with nothing around it, where there is no scene: a hand must not move its arm into itself.
-    alone: Option<World>,
+    Bare(Arc<World>),
+}
+
+impl Site {
+    /// Returns the planner, if there is a scene.
+    fn planner(&self) -> Option<&Arc<Planner>> {
+        match self {
+            Site::Scene(planner) => Some(planner),
+            Site::Bare(_) => None,
+        }
+    }
+
+    fn world(&self) -> &World {
+        match self {
+            Site::Scene(planner) => planner.world(),
+            Site::Bare(world) => world,
+        }
+    }
+
+    fn arm(&self) -> &SerialArm {
+        self.world().arm()
+    }
+
+    fn mount_m(&self) -> Point {
+        self.world().scene().base.mount_m
+    }
+
+    fn shop(&self) -> Shop<'_> {
+        self.world().shop()
+    }
+
+    /// Returns the flange's pose in the scene, with the base at this placement.
+    fn flange(&self, placement: Placement, joints_rad: &Joints) -> Pose {
+        in_scene(placement, self.mount_m(), &self.arm().flange_pose(joints_rad))
+    }
 }
 
 /// See the module.
@@ -56,8 +96,7 @@ struct Bare {
 pub struct Director<R> {
     robot: R,
     motions: Motions,
-    bare: Arc<Bare>,
-    planner: Option<Arc<Planner>>,
+    site: Site,
     now_ms: u64,
     running: Option<Running>,
     /// Where motions are planned, and the one that is.
@@ -84,19 +123,17 @@ pub struct Director<R> {
 impl<R: Robot> Director<R> {
     /// Creates a director without a scene: the arm moves through home.
     pub fn new(robot: R, motions: Motions) -> Self {
-        Director::with(robot, motions, SerialArm::gen3(), None)
+        let world = World::new(SerialArm::gen3(), Scene::default());
+        Director::with(robot, motions, Site::Bare(Arc::new(world)))
     }
 
     /// Creates a director in a scene, where neither base nor arm touches anything.
     pub fn in_scene(robot: R, motions: Motions, planner: Arc<Planner>) -> Self {
-        let arm = planner.world().arm().clone();
-        Director::with(robot, motions, arm, Some(planner))
+        Director::with(robot, motions, Site::Scene(planner))
     }
 
-    fn with(robot: R, motions: Motions, arm: SerialArm, planner: Option<Arc<Planner>>) -> Self {
-        let mut things =
-            planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
-        let alone = planner.is_none().then(|| World::new(arm.clone(), Scene::default()));
+    fn with(robot: R, motions: Motions, site: Site) -> Self {
+        let mut things = site.world().start().clone();
         // The robot has not reported this yet.
         things.opening_m = None;
         Director {
@@ -105,8 +142,7 @@ impl<R: Robot> Director<R> {
             things,
             grip_before_m: None,
             commanded_ms: 0,
-            bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default(), alone }),
-            planner,
+            site,
             now_ms: 0,
             running: None,
             how: How::AtOnce,
@@ -145,11 +181,7 @@ impl<R: Robot> Director<R> {
 
     /// Returns the limits of the arm's motions.
     pub fn joint_limits(&self) -> &JointLimits {
-        self.planner.as_ref().map_or(self.robot.joint_limits(), |planner| planner.limits())
-    }
-
-    fn scene(&self) -> &Scene {
-        self.planner.as_ref().map_or(&self.bare.scene, |planner| planner.world().scene())
+        self.site.planner().map_or(self.robot.joint_limits(), |planner| planner.limits())
     }
 
     fn running_state(&self) -> Option<(MotionName, Leg)> {
@@ -174,7 +206,7 @@ impl<R: Robot> Door for Director<R> {
         // After a pause in which every robot has come to rest by itself, the rest of the pause is a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
-            let looks = self.planner.is_some() && self.now_ms < looks_until_ms;
+            let looks = self.site.planner().is_some() && self.now_ms < looks_until_ms;
             let tick_ms = if looks { TICK_MS } else { u64::MAX };
             self.guard();
             let due_ms = if self.guard_due_ms > self.now_ms { self.guard_due_ms } else { u64::MAX };
@@ -190,7 +222,7 @@ impl<R: Robot> Door for Director<R> {
 
     fn drive(&mut self, twist: Twist) {
         self.commanded_ms = self.now_ms;
-        if self.planner.is_none() {
+        if self.site.planner().is_none() {
             self.allowed = twist;
         } else if twist != self.wanted {
             self.guard_due_ms = 0;
@@ -275,9 +307,9 @@ impl<R: Robot> Door for Director<R> {
         });
         let reference_rad =
             self.along().map(|(trajectory, elapsed_s)| trajectory.motion(elapsed_s).joints_rad);
-        let shop = self.shop();
-        let flange = self.bare.arm.flange_pose(&joints_rad);
-        let in_scene = in_scene(Placement::from(state.odometry), self.scene().base.mount_m, &flange);
+        let shop = self.site.shop();
+        let flange = self.site.arm().flange_pose(&joints_rad);
+        let in_scene = in_scene(Placement::from(state.odometry), self.site.mount_m(), &flange);
         let objects = shop.objects.iter().zip(&self.things.poses);
         let objects = objects.map(|(object, at)| object.picture(at.pose(&in_scene)));
         Picture {
@@ -308,7 +340,7 @@ impl<R: Robot> Door for Director<R> {
     }
 
     fn setting(&self) -> RobotSetting {
-        let (arm, scene, limits) = (&self.bare.arm, self.scene(), self.joint_limits());
+        let (arm, scene, limits) = (self.site.arm(), self.site.world().scene(), self.joint_limits());
         let joints = arm.joints.iter().enumerate().map(|(i, joint)| JointSetting {
             name: joint.name.clone(),
             link: joint.link.clone(),
@@ -338,10 +370,10 @@ impl<R: Robot> Door for Director<R> {
     }
 
     fn mount_m(&self) -> Point {
-        self.scene().base.mount_m
+        self.site.mount_m()
     }
 
     fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
-        self.bare.arm.link_poses(joints_rad)
+        self.site.arm().link_poses(joints_rad)
     }
 }

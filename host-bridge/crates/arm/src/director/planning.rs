@@ -20,7 +20,7 @@ use crate::plan::{Placement, Planner};
 use crate::things::Things;
 
 use super::Director;
-use super::carry::{LET_GO_M, SILENCE_MS, has_shifted};
+use super::carry::{LET_GO_M, has_shifted};
 use super::sequence::{Act, Task};
 
 /// A plan that is not there after this long is not waited for: an arm must not start when nobody expects it any more. Release
@@ -142,11 +142,11 @@ impl<R: Robot> Director<R> {
         let (placement, things) = task.taken();
         // Without a scene there is hardly anything to plan.
         let job = match self.how {
-            How::Aside if self.planner.is_some() => Job::aside(task),
-            How::Held if self.planner.is_some() => Job::here(task),
+            How::Aside if self.site.planner().is_some() => Job::aside(task),
+            How::Held if self.site.planner().is_some() => Job::here(task),
             _ => {
                 let acts = task.plan()?;
-                return self.begin(motion, acts, self.planner.as_ref().map(|_| placement));
+                return self.begin(motion, acts, self.site.planner().map(|_| placement));
             }
         };
         let since_ms = self.now_ms;
@@ -173,7 +173,7 @@ impl<R: Robot> Director<R> {
     }
 
     fn still_fits(&self, acts: &VecDeque<Act>, planned: Placement, then: &Things) -> Result<(), String> {
-        let Some(planner) = &self.planner else { return Ok(()) };
+        let Some(planner) = self.site.planner() else { return Ok(()) };
         let at_work = acts.iter().any(Act::is_at_work);
         if let Some(first) = acts.front() {
             self.can_go_on(first, at_work.then_some(planned))?;
@@ -212,9 +212,8 @@ impl<R: Robot> Director<R> {
     /// A plan that comes too late, or after a silence, is not begun.
     pub(super) fn doubt_plan(&mut self) {
         let Some(planning) = &self.planning else { return };
-        let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
-        let reason = if silent_ms > SILENCE_MS {
-            format!("nobody has commanded for {silent_ms} ms")
+        let reason = if let Some(silence) = self.silence() {
+            silence
         } else if self.now_ms.saturating_sub(planning.since_ms) > AGE_MAX_MS {
             format!(
                 "it is not planned after {} s: this computer is busy with something else, or starts no thread for it; ask for \

@@ -7,12 +7,13 @@ use std::sync::atomic::AtomicBool;
 use host_robot::shape::Point;
 use host_robot::{DVec3, JointLimits, Joints, MotionName, Pose, Robot, Trajectory};
 
+use crate::model::SerialArm;
 use crate::motions::{Grasp, GripTable, Step};
 use crate::plan::collision::Part;
-use crate::plan::{Case, Placement, Planner, Purse, line};
-use crate::things::{Shop, Things, Touch, in_scene};
+use crate::plan::{Case, Placement, Purse, Refusal, line};
+use crate::things::{Things, Touch, in_scene};
 
-use super::{Bare, Director, REST_RAD_S};
+use super::{Director, REST_RAD_S, Site, still_moves};
 
 /// Distance by which a hand retreats from an object before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
@@ -90,8 +91,7 @@ pub(super) struct Task {
 /// What does not change while it is planned.
 #[derive(Debug)]
 struct Plot {
-    bare: Arc<Bare>,
-    planner: Option<Arc<Planner>>,
+    site: Site,
     /// Of the robot; with a scene the planner has its own.
     limits: JointLimits,
     /// How often the motion has run, for those that draw.
@@ -141,8 +141,7 @@ impl<R: Robot> Director<R> {
         // Each step takes one plan at most.
         self.plans += steps.len() as u64;
         let plot = Plot {
-            bare: Arc::clone(&self.bare),
-            planner: self.planner.clone(),
+            site: self.site.clone(),
             limits: *self.robot.joint_limits(),
             draw: self.draws.get(motion).copied().unwrap_or_default(),
         };
@@ -155,7 +154,7 @@ impl<R: Robot> Director<R> {
             self.robot.can_follow()?;
         }
         let here = self.robot.arm().map(|reading| reading.value);
-        let arm = &self.bare.arm;
+        let arm = self.site.arm();
         let from_rad = match here {
             Some(here) => {
                 if let Some(i) = here.velocity_rad_s.iter().position(|v| v.abs() > REST_RAD_S) {
@@ -168,11 +167,10 @@ impl<R: Robot> Director<R> {
             None => return Err("the arm's angles are not known".to_owned()),
         };
         let mut placement = Placement::default();
-        if self.planner.is_some() {
+        if self.site.planner().is_some() {
             let base = self.known_base().map_err(|why| format!("the arm cannot be planned for: {why}"))?;
             placement = Placement::from(base.odometry);
-            let twist = base.odometry.twist;
-            if needs_rest && (twist.linear_m_s.abs() > 0.01 || twist.angular_rad_s.abs() > 0.01) {
+            if needs_rest && still_moves(base.odometry.twist) {
                 return Err("the base still moves; let it rest first".to_owned());
             }
         }
@@ -187,37 +185,14 @@ impl<R: Robot> Director<R> {
             turn: self.plans,
         })
     }
-
-    pub(super) fn shop(&self) -> Shop<'_> {
-        shop(self.planner.as_deref(), &self.bare)
-    }
-
-    pub(super) fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
-        in_scene(placement, self.scene().base.mount_m, &self.bare.arm.flange_pose(joints_rad))
-    }
 }
 
-/// Objects, boxes and tool, for gripping.
-fn shop<'a>(planner: Option<&'a Planner>, bare: &'a Bare) -> Shop<'a> {
-    match planner {
-        Some(planner) => planner.world().shop(),
-        None => Shop { objects: &[], boxes: &[], tool: &bare.tool },
-    }
+/// Returns the reason why the arm cannot start from these angles, if it is beyond its limits.
+pub(super) fn can_start(arm: &SerialArm, from_rad: &Joints) -> Result<(), String> {
+    arm.check(from_rad).map_err(|error| Refusal::StartBeyondLimit(error).to_string())
 }
 
 impl Plot {
-    fn shop(&self) -> Shop<'_> {
-        shop(self.planner.as_deref(), &self.bare)
-    }
-
-    fn mount_m(&self) -> Point {
-        self.planner.as_ref().map_or(&self.bare.scene, |planner| planner.world().scene()).base.mount_m
-    }
-
-    fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
-        in_scene(placement, self.mount_m(), &self.bare.arm.flange_pose(joints_rad))
-    }
-
     /// Plans one step; `beside` says whether the gripper moves before it and after it.
     fn take_step(&self, step: &Step, draft: &mut Draft, beside: (bool, bool)) -> Result<(), String> {
         let goal_rad = match step {
@@ -243,11 +218,11 @@ impl Plot {
 
     /// Returns the flange's goal in the arm's base frame.
     fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
-        let point_m = self.shop().tool.point_m();
-        let here = self.bare.arm.flange_pose(from_rad);
+        let point_m = self.site.shop().tool.point_m();
+        let here = self.site.arm().flange_pose(from_rad);
         match step {
             Step::Tool { pose, .. } => {
-                let mount_m = self.mount_m();
+                let mount_m = self.site.mount_m();
                 Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..*pose }
             }
             Step::Move { way_m, own, turn, .. } => {
@@ -261,26 +236,24 @@ impl Plot {
     }
 
     fn angles_for(&self, target: &Pose, draft: &Draft) -> Result<Joints, String> {
-        if let Some(planner) = &self.planner {
+        if let Some(planner) = self.site.planner() {
             return planner
                 .place(&draft.from_rad, target, draft.case())
                 .map_err(|refusal| refusal.to_string());
         }
-        let arm = &self.bare.arm;
+        let arm = self.site.arm();
         let found = crate::ik::solve_from(&draft.purse, arm, target, &draft.from_rad, 1, |_| true);
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
     /// To these angles: through home, or along the planned path.
     fn go_freely(&self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
-        let arm = &self.bare.arm;
+        let arm = self.site.arm();
         let from_rad = draft.from_rad;
         let goal_rad = arm.unwound(goal_rad, &from_rad);
-        let (leg, home_s) = match &self.planner {
+        let (leg, home_s) = match self.site.planner() {
             None => {
-                arm.check(&from_rad).map_err(|error| {
-                    format!("the arm cannot start: {error}; bring it back within its limits")
-                })?;
+                can_start(arm, &from_rad)?;
                 let home_rad = arm.unwound(&arm.home_rad, &from_rad);
                 let goal_rad = arm.unwound(&goal_rad, &home_rad);
                 let limits = &self.limits;
@@ -308,8 +281,8 @@ impl Plot {
         draft: &mut Draft,
         (before, after): (bool, bool),
     ) -> Result<(), String> {
-        let Some(planner) = &self.planner else {
-            let arm = &self.bare.arm;
+        let Some(planner) = self.site.planner() else {
+            let arm = self.site.arm();
             let path_rad =
                 line::along(arm, &draft.from_rad, target, &draft.purse).map_err(|error| error.to_string())?;
             let corners = path_rad.len().saturating_sub(2);
@@ -317,14 +290,14 @@ impl Plot {
             draft.follow(leg, 0.0, Touch::default());
             return Ok(());
         };
-        let shop = self.shop();
-        let here = self.flange_in_scene(draft.placement, &draft.from_rad);
+        let shop = self.site.shop();
+        let here = self.site.flange(draft.placement, &draft.from_rad);
         let mut touch = Touch::default();
         if before || self.is_at_something(draft).is_some() {
             touch = shop.touching(&draft.things, &here);
         }
         if after {
-            let there = in_scene(draft.placement, self.mount_m(), target);
+            let there = in_scene(draft.placement, self.site.mount_m(), target);
             touch = both(touch, shop.touching(&draft.things, &there));
         }
         let things = Things { touch: touch.clone(), ..draft.things.clone() };
@@ -338,7 +311,7 @@ impl Plot {
     /// Retreats from an object, or lifts the held object, before the hand moves freely.
     fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
         let Some(part) = self.is_at_something(draft) else { return Ok(()) };
-        let here = self.bare.arm.flange_pose(&draft.from_rad);
+        let here = self.site.arm().flange_pose(&draft.from_rad);
         let way_m: Point = match part {
             Part::Held => LIFT_M * DVec3::Z,
             _ => -BACK_OFF_M * here.rotation.z_axis,
@@ -350,7 +323,7 @@ impl Plot {
 
     /// Returns a part of the hand that is too close to an object or its support for the start of a motion.
     fn is_at_something(&self, draft: &Draft) -> Option<Part> {
-        let planner = self.planner.as_ref()?;
+        let planner = self.site.planner()?;
         let world = planner.world();
         let near_m = |things: &Things| {
             let around = world.around_with(draft.placement, things).paid_from(&draft.purse);
@@ -358,15 +331,15 @@ impl Plot {
             (nearest.distance_m < world.scene().arm.margin_m).then_some(nearest.parts.0)
         };
         let part = near_m(&draft.things)?;
-        let here = self.flange_in_scene(draft.placement, &draft.from_rad);
-        let touch = self.shop().touching(&draft.things, &here);
+        let here = self.site.flange(draft.placement, &draft.from_rad);
+        let touch = self.site.shop().touching(&draft.things, &here);
         // This applies only if the close object is the hand's own.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }
 
     fn take_grip(&self, to: GripTable, effort_n: Option<f64>, draft: &mut Draft) -> Result<(), String> {
-        let shop = self.shop();
+        let shop = self.site.shop();
         let widest_m = shop.tool.hand().map_or(1.0, |hand| hand.widest_m);
         // If the finger distance is unknown, the gripper closes, so that nothing falls.
         let is_open = draft.things.held().is_none()
@@ -387,8 +360,8 @@ impl Plot {
             }
         };
         let closes_on = opening_m == 0.0;
-        let flange = self.flange_in_scene(draft.placement, &draft.from_rad);
-        if let Some(planner) = &self.planner {
+        let flange = self.site.flange(draft.placement, &draft.from_rad);
+        if let Some(planner) = self.site.planner() {
             // The fingers need room at both ends of their range.
             for width_m in [draft.things.opening_m, Some(opening_m)] {
                 let touch = shop.touching(&draft.things, &flange);

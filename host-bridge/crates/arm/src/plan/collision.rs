@@ -425,7 +425,7 @@ impl<'w> Surroundings<'w> {
         (own, boxes)
     }
 
-    /// Returns a distance, or `None` if the two parts may touch.
+    /// Returns the distance, or infinity if the two parts may touch.
     /// On the straight path to or from an object, fingers may touch the object.
     /// A held object may touch its support, but must not sink into it.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {

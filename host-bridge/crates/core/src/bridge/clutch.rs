@@ -2,7 +2,7 @@
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 
-use super::{Bridge, EventKind, GestureOutcome};
+use super::{Bridge, GestureOutcome};
 use crate::intent::{is_rest, same_label};
 use crate::jog::{self, JogRules};
 use crate::safety::{self, Hand, State};
@@ -42,9 +42,7 @@ impl Bridge {
             return GestureOutcome::NotArmed;
         }
         if let Err(reason) = self.can_lend(robot) {
-            let motion = MotionName::from(MotionName::JOG);
-            self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
-            return GestureOutcome::Refused(motion);
+            return self.refuse(MotionName::from(MotionName::JOG), reason, now_ms);
         }
         self.apply(safety::Event::Clutch { lends: true }, now_ms, robot);
         GestureOutcome::Lent

@@ -485,18 +485,14 @@ impl Bridge {
             self.take_back(now_ms, robot);
             return GestureOutcome::EndedArm;
         }
-        if let Some(restriction) = &self.restriction {
-            let reason = restriction.text.clone();
-            self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
-            return GestureOutcome::Refused(motion);
-        }
-        match robot.start_motion(&motion) {
+        let started = match &self.restriction {
+            Some(restriction) => Err(NotStarted::Refused(restriction.text.clone())),
+            None => robot.start_motion(&motion),
+        };
+        match started {
             Ok(()) => GestureOutcome::Started(motion),
             Err(NotStarted::Busy(Busy(running))) => GestureOutcome::Busy(running),
-            Err(NotStarted::Refused(reason)) => {
-                self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
-                GestureOutcome::Refused(motion)
-            }
+            Err(NotStarted::Refused(reason)) => self.refuse(motion, reason, now_ms),
         }
     }
 }

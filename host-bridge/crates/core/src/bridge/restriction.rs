@@ -1,6 +1,8 @@
-//! Restrictions that give a session fewer rights than others.
+//! Restrictions that give a session fewer rights than others, and refusals of motions.
 
-use super::{Bridge, EventKind};
+use host_robot::MotionName;
+
+use super::{Bridge, EventKind, GestureOutcome};
 use crate::intent::{Caps, SpeedRules};
 
 /// The restriction of a session, and the reason for it.
@@ -33,5 +35,11 @@ impl Bridge {
     /// Returns the restriction of this session, as a text for users.
     pub fn restriction(&self) -> Option<&str> {
         self.restriction.as_ref().map(|restriction| restriction.text.as_str())
+    }
+
+    /// Reports why a requested motion does not start.
+    pub(super) fn refuse(&mut self, motion: MotionName, reason: String, now_ms: u64) -> GestureOutcome {
+        self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
+        GestureOutcome::Refused(motion)
     }
 }

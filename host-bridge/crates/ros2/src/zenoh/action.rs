@@ -35,7 +35,7 @@ struct Goal {
 /// See the module.
 pub struct Client {
     which: Which,
-    /// The outbox for requests.
+    /// The domain of the requests' keys.
     domain: u16,
     send_goal: Named,
     get_result: Named,

@@ -79,7 +79,8 @@ struct ZenohNode {
     tokens: Tokens,
     inbox: Inbox,
     outbox: Outbox,
-    speed: Named,
+    /// The topic of the base's speed, and its quality of service.
+    cmd_vel: String,
     quality: Quality,
     is_stamped: bool,
     way: ArmWay,
@@ -98,10 +99,10 @@ impl ZenohNode {
         if self.is_stamped { Place::SpeedStamped } else { Place::SpeedPlain }
     }
 
-    fn declare_speed(&mut self) {
+    fn declare_speed(&self) {
         let kind = if self.is_stamped { "geometry_msgs/msg/TwistStamped" } else { "geometry_msgs/msg/Twist" };
-        self.speed = Named::new(&self.speed.name, kind);
-        self.outbox.order(Order::Write(self.speed_place(), self.speed.clone(), self.quality));
+        let speed = Named::new(&self.cmd_vel, kind);
+        self.outbox.order(Order::Write(self.speed_place(), speed, self.quality));
     }
 
     /// Returns the session of an end point, from its identity or because only one session writes that topic.

@@ -144,7 +144,6 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     // Creates the publishers.
     let write = |place, named, quality| outbox.order(Order::Write(place, named, quality));
     let is_stamped = config.stamped.fixed().unwrap_or(true);
-    let speed = topic(&config.cmd_vel, "geometry_msgs/msg/TwistStamped");
     write(Place::Diagnostics, topic(&config.diagnostics, "diagnostic_msgs/msg/DiagnosticArray"), plain);
     write(Place::Stopped, topic(&config.stopped, "std_msgs/msg/Bool"), Quality::LATCHED);
     if way == ArmWay::Topic {
@@ -162,13 +161,13 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     }
 
     let voice = ZenohVoice { outbox: outbox.clone(), has_simulator: publish_sim, states: 0 };
-    let mut joined = ZenohNode {
+    let joined = ZenohNode {
         session,
         node,
         tokens,
         inbox,
         outbox,
-        speed,
+        cmd_vel: config.resolve(&config.cmd_vel),
         quality: Quality { reliable: config.reliable, ..plain },
         is_stamped,
         way,

@@ -210,7 +210,7 @@ pub fn listen(
 
 struct Writer {
     publisher: Publisher<'static>,
-    /// Announces the subscription by a token.
+    /// The token that announces the publisher.
     _token: LivelinessToken,
     writer: [u8; 16],
     number: i64,
