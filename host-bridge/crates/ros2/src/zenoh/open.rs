@@ -151,16 +151,17 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
         let named = Named::new(&name, "trajectory_msgs/msg/JointTrajectory");
         write(Place::Trajectory, named, Quality { depth: 1, ..plain });
     }
+    let has_description = publish_sim && !config.robot_description.is_empty();
     if publish_sim {
         write(Place::JointStates, topic(&config.joint_states, "sensor_msgs/msg/JointState"), plain);
         write(Place::Odometry, topic(&config.odom, "nav_msgs/msg/Odometry"), plain);
         write(Place::Frames, topic(&config.tf, "tf2_msgs/msg/TFMessage"), plain);
-        if !config.robot_description.is_empty() {
+        if has_description {
             write(Place::Description, topic(&config.robot_description, "std_msgs/msg/String"), plain);
         }
     }
 
-    let voice = ZenohVoice { outbox: outbox.clone(), has_simulator: publish_sim, states: 0 };
+    let voice = ZenohVoice { outbox: outbox.clone(), has_simulator: publish_sim, has_description, states: 0 };
     let joined = ZenohNode {
         session,
         node,
