@@ -452,8 +452,8 @@ mod tests {
         for k in 0..=50 {
             let now = motion.motion(f64::from(k) / 50.0 * duration_s);
             let share = (now.joints_rad[furthest] - from[furthest]) / way(furthest);
-            for i in 0..JOINTS {
-                prop_assert!((now.joints_rad[i] - from[i] - share * way(i)).abs() < 1e-9);
+            for (i, joint_rad) in now.joints_rad.iter().enumerate() {
+                prop_assert!((joint_rad - from[i] - share * way(i)).abs() < 1e-9);
             }
             prop_assert!(share >= gone - slack && share <= 1.0 + slack, "never turns back");
             gone = share;
