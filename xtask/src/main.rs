@@ -10,6 +10,7 @@ mod paper;
 mod prose;
 mod python;
 mod real_data;
+mod sizes;
 mod steps;
 mod test;
 mod toolchain;
@@ -38,6 +39,7 @@ usage: cargo xtask VERB
   paper [--quick] [--out FILE] [--html FILE]
                                 the paper's tables beside what is measured here, in under 30 minutes; --html one page
                                 with plots
+  sizes                         the flash of micromath's functions on both boards, beside ours
   package                       an archive for Linux on x86-64 under target/package
   ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text
@@ -68,6 +70,10 @@ fn run(args: &[String]) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         ["paper", rest @ ..] => paper::run(rest),
+        ["sizes"] => {
+            sizes::run()?;
+            Ok(ExitCode::SUCCESS)
+        }
         ["package"] => {
             package::run()?;
             Ok(ExitCode::SUCCESS)
