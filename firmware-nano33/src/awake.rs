@@ -17,7 +17,8 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
     static EXECUTOR: static_cell::StaticCell<raw::Executor> = static_cell::StaticCell::new();
     dcb.enable_trace();
     dwt.enable_cycle_counter();
-    // The executor in thread mode receives this context value: a task that wakes sends an event, which ends the sleep below.
+    // The executor in thread mode receives this context value.
+    // A task that wakes therefore sends an event, which ends the sleep below.
     let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
     init(executor.spawner());
     loop {
@@ -51,7 +52,7 @@ pub fn cycles() -> u32 {
     DWT::cycle_count()
 }
 
-/// Returns the share of time awake since the last call, in parts per thousand.
+/// Measures the share of time awake since the last call, in parts per thousand.
 pub struct Load {
     cycles: u32,
     at: embassy_time::Instant,
@@ -82,7 +83,7 @@ unsafe extern "C" {
     static mut __sheap: u32;
 }
 
-/// Fills the free stack with a pattern. Called once, early.
+/// Fills the free stack with a pattern. Call this once, early in the start.
 pub fn paint_stack() {
     let mut word = &raw mut __sheap;
     let end = (cortex_m::register::msp::read() - 256) as *mut u32;

@@ -1,8 +1,8 @@
 //! Recordings of the left hand: raw converter counts, as read by the Nano.
 //!
 //! A CSV file has the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`), with 8 to 12 bits at 50 to 500 Hz.
-//! The recording is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz;
-//! [`Read::notes`] mention this.
+//! The recording is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz.
+//! [`Read::notes`] describes the conversion.
 //! `host-bridge record --hand left` writes eighths of a count (512.375), so nothing is lost.
 //! Nothing is repaired silently: unusable data causes an error with file, line, column and a remedy.
 

@@ -5,10 +5,13 @@
 //! `models daily vectors` generates the file, and `daily/ABOUT.txt` contains the source and its licence.
 //! Without this training, a model easily mistakes getting up from a chair for a circle.
 //!
-//! The file starts with `BIMANDAY` and the number of people as u8. Each name follows after its length as u8.
-//! Three tables follow. The first has features without a gyroscope, and the third has features with one.
+//! The file starts with `BIMANDAY`, the number of people as u8, and their names.
+//! Each name follows its length as u8.
+//! Then there are three tables.
+//! The first has features without a gyroscope, and the third has features with one.
 //! The second has features of the slow window ([`shared_dsp::right::slow`]).
-//! A table starts with its numbers of rows and columns as u32. For each column, it has an offset and a unit as f32 (little-endian).
+//! A table starts with its numbers of rows and columns as u32.
+//! For each column, it then has an offset and a unit as f32 (little-endian).
 //! Each row has the number of its person as u8, and a signed byte for each column.
 //! The value of a feature is this byte times the unit, plus the offset.
 

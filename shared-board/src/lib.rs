@@ -1,4 +1,5 @@
-//! The logic of the boards without their pins. Inputs are samples, bytes and time; outputs are frames, memory operations and the light.
+//! The logic of the boards without their pins.
+//! Its inputs are samples, bytes and time. Its outputs are frames, memory operations and the light.
 //!
 //! ```text
 //!  samples ─▶ ┌───────────────────────┐ ─▶ frames

@@ -1,4 +1,4 @@
-//! Interprets the wrapping numbers in a state, which reveal new events since the last frame and lost frames.
+//! Interprets the wrapping numbers in a state. They reveal lost frames and the events since the last frame.
 //!
 //! For each state, call [`SequenceTracker::see`] first, ignore states that are not new, and then update the event counters.
 //! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all trackers and counters.
@@ -33,7 +33,8 @@ impl CounterTracker {
     }
 
     /// Returns the number of events since the last value, at most [`Self::MOST`].
-    /// A larger increase means a restart or a very long silence. In this case, it returns 0 and sets a new reference.
+    /// A larger increase means a restart or a very long silence.
+    /// The method then returns 0 and sets a new reference.
     pub fn see(&mut self, value: u8) -> u8 {
         let new = value.wrapping_sub(self.last.unwrap_or(value));
         self.last = Some(value);

@@ -234,7 +234,8 @@ pub struct Counters {
     pub bad_cobs: u32,
     /// Number of damaged frames whose checksum is wrong or missing.
     pub bad_crc: u32,
-    /// Number of frames longer than the buffer, which are damaged or not for this receiver.
+    /// Number of frames that are longer than the buffer.
+    /// Such a frame is damaged or meant for another receiver.
     pub overflow: u32,
 }
 

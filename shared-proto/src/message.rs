@@ -42,9 +42,9 @@ board_messages! {
         /// The board sends this at start, and in answer to [`HostMessage::HelloRequest`].
         #[serde(borrow)]
         0 Hello(Hello<'a>) => Both, 0;
-        /// The complete state of the left hand, at 50 Hz and immediately on a change.
+        /// The complete state of the left hand, which is sent at 50 Hz and immediately after a change.
         1 Left(LeftState) => Left, 0;
-        /// The complete state of the right hand, once per hop (80 ms).
+        /// The complete state of the right hand, which is sent once per hop (80 ms).
         #[serde(borrow)]
         2 Right(RightState<'a>) => Right, 0;
         /// The samples that entered the window. The board sends them only in record mode.
@@ -58,10 +58,11 @@ board_messages! {
         6 Pong(Pong) => Both, 0;
         /// The answer to every other request.
         7 Ack(Ack) => Both, 0;
-        /// The requirements and labels of the running model. A right hand sends them after each hello.
+        /// The requirements and labels of the running model.
+        /// A right hand's board sends them after each hello.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
-        /// The hardware of a right hand's board, which it sends after each hello.
+        /// The hardware of a right hand's board. The board sends this message after each hello.
         9 About(About) => Right, 1;
         /// One sample of a left hand's converter. The board sends it only in record mode.
         10 RawAdc(RawAdc) => Left, 3;
@@ -116,7 +117,7 @@ host_messages! {
         7 ModelCommit {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// CRC-32 of the complete blob, which is also the new model id.
+            /// CRC-32 of the complete blob. The same number is the new model id.
             crc32: u32,
         } => Right, 0;
         /// Plays a signal on a motor at the right hand's board, if one is connected.
@@ -150,7 +151,7 @@ pub struct LeftState {
     pub pitch_mrad: i16,
     /// Tilt about the forward axis in milliradians, positive = left.
     pub roll_mrad: i16,
-    /// The debounced heading that the tilt means.
+    /// The debounced heading that follows from the tilt.
     pub heading: Heading,
     /// Number of bends of the index finger since start, which wraps.
     pub index_bends: u8,
@@ -222,7 +223,7 @@ pub struct Status {
     pub bad_frames: u32,
     /// Minimum free stack since start, in bytes.
     pub free_stack_bytes: u32,
-    /// Share of time awake since the last status, in parts per thousand.
+    /// Share of the time since the last status in which the processor was awake, in parts per thousand.
     pub load_permille: u16,
     /// The mode of the board.
     pub mode: Mode,
@@ -270,7 +271,7 @@ open_list! {
         CalibrationDamaged = 6,
         /// The stored model was damaged or cannot run on this image, so the compiled-in one is used.
         ModelDamaged = 7,
-        /// The running model reads a magnetometer that this board does not have, so no gesture is recognised;
+        /// The running model reads a magnetometer that this board does not have, so no gesture is recognised.
         /// The detail is the sensor's number of axes.
         NoMagnetometer = 8,
     }

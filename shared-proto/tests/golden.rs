@@ -198,7 +198,7 @@ fn the_wire_has_not_changed_without_a_new_version() {
     std::fs::write(&path, format!("{version}\n{}\n", now.join("\n"))).unwrap();
 }
 
-/// Otherwise, the test would not notice a message that is missing in this file.
+/// Without this check, the tests would not notice a message that is missing in this file.
 #[test]
 fn every_message_is_in_the_list() {
     let board: Vec<Row> = board_messages().iter().map(|message| *message.row()).collect();

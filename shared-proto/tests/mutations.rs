@@ -136,7 +136,7 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     tally.damaged += u64::from(counters.damaged());
 }
 
-/// Decodes a frame of blocks shorter than 254 bytes by the definition of COBS.
+/// Decodes a frame by the definition of COBS, if all its blocks are shorter than 254 bytes.
 /// In such a frame, each code byte is the distance to the next zero.
 fn unstuffed(chunk: &[u8]) -> impl Iterator<Item = u8> {
     let mut next_code = usize::from(chunk[0]);

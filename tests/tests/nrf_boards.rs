@@ -227,7 +227,8 @@ fn drives(session: &mut RightRig, start: u64) -> Vec<(u64, f64)> {
     drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
 }
 
-/// Compares the duty cycles and times, with a tolerance of some milliseconds because a frame takes one millisecond on the wire.
+/// Compares the duty cycles and times.
+/// The tolerance is some milliseconds, because a frame takes one millisecond on the wire.
 fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
     assert_eq!(seen.len(), wanted.len(), "{what}: {seen:?}");
     for ((at_ms, high), (wanted_ms, wanted_high)) in seen.iter().zip(wanted) {

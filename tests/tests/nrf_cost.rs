@@ -1,5 +1,5 @@
-//! Measures the cost of recognition on the board (instructions, time awake and memory), and compares it with the paper's
-//! and other results.
+//! Measures the cost of recognition on the board: instructions, time awake and memory.
+//! Compares these results with those of the paper and of other implementations.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::aligned::AlignedWindow;
@@ -11,7 +11,7 @@ use tests::nrf::lsm9ds1::{Motion, Still};
 use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{install, random_model};
 
-/// Returns the motion of a hand that never rests.
+/// The motion of a hand that never rests.
 struct Wild;
 
 impl Motion for Wild {
@@ -54,8 +54,8 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         let board = &mut session.board;
         names.iter().map(|name| if stack { board.probe_stack(name) } else { board.probe(name) }).collect()
     };
-    // The stack is filled with a pattern again before the layers, so that the calculation of the inputs does not count,
-    // as in the other measurements.
+    // Before the layers, the stack is filled with a pattern again.
+    // As in the other measurements, the calculation of the inputs therefore does not count.
     let forward = probe(&forward, true);
     let inputs_and_forward = probe(&inputs_and_forward, true);
     let softmax = probe(&softmax, true);
@@ -113,8 +113,9 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
         cost.awake_share * 100.0
     );
-    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
-    // The specification also gives 3.16 uA asleep with RAM and RTC.
+    // According to the nRF52840 product specification, the processor draws 52 uA/MHz awake.
+    // This value is for code in flash at 3 V with the DC/DC converter.
+    // Asleep with RAM and RTC, it draws 3.16 uA.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,
@@ -198,11 +199,11 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
 }
 
 /// Current in mA of each sensor as the images configure it, from its data sheet.
-/// The LSM9DS1 has 4.0 for the gyroscope and 0.6 for accelerometer and magnetometer. The BMI270 is in performance mode,
-/// and the LSM6DS3TR-C in high-performance mode.
+/// The LSM9DS1 draws 4.0 mA for the gyroscope and 0.6 mA for accelerometer and magnetometer.
+/// The BMI270 is in performance mode, and the LSM6DS3TR-C is in high-performance mode.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
-/// Current of the nRF52840: awake 52 uA/MHz, from flash at 3 V with DC/DC converter. The next value is for sleep with
-/// RAM and clock.
+/// Current of the nRF52840 awake: 52 uA/MHz, for code in flash at 3 V with the DC/DC converter.
+/// The next value is the current asleep, with RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
 const ASLEEP_MA: f64 = 0.003_16;
 
@@ -231,8 +232,9 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
     }
 }
 
-/// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
-/// The sensor must keep running: the dead-man rule requires fresh samples.
+/// Calculates how much current the board would save if it paused the classifier at rest.
+/// This saving is the classifier's share of the processor time.
+/// The sensor must keep running, because the dead-man rule requires fresh samples.
 /// In addition, the window of a gesture starts before the gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {

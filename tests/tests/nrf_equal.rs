@@ -170,7 +170,8 @@ const CLOCK_RATIO: f64 = 1.013;
 struct Resampled {
     session: RightRig,
     window: Window,
-    /// Differences between sample and row in counts, each with its tolerance; only the first six axes.
+    /// Differences between sample and row in counts, each with its tolerance.
+    /// They cover only the first six axes.
     errors: Vec<(f64, f64)>,
 }
 
@@ -266,7 +267,7 @@ fn on_real_recordings_a_xiao_computes_what_the_laptop_does() {
 }
 
 fn equals_on_real_recordings(kind: Kind) {
-    // Maximum per class, then the required minimum of all.
+    // Maximum number of recordings per class, and required numbers of recordings and hops in total.
     let (most, least_recordings, least_hops) = match (is_full(), kind) {
         (true, _) => (146, 100, 2000),
         (false, Kind::Nano33) => (13, 52, 1000),
@@ -356,7 +357,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     let from = window.at.iter().position(|&at| at >= 2 * HZ).unwrap();
     let minute = window.at[from..].iter().filter(|&&at| at < 62 * HZ).count();
     let status = session.heard.statuses.last().unwrap();
-    // Returns the difference from the true motion at the grid time minus the specified delay.
+    // The true motion is that at the grid time minus the specified delay.
     let scale = SCALE;
     let mut worst = [0.0f64; 2];
     let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;

@@ -5,7 +5,8 @@
 //! Two tables either fail to link or, worse, link silently without the handlers of one crate.
 //! With this replacement, the image contains only embassy-nrf's table.
 //! The two crates use different names for the SoftDevice's event interrupt: `SWI2_EGU2` here and `EGU2_SWI2` there.
-//! `memory.x` defines one as an alias of the other, and the test `nrf_vectors` checks this in the linked image.
+//! `memory.x` defines one of these names as an alias of the other.
+//! The test `nrf_vectors` checks this in the linked image.
 #![no_std]
 
 pub use cortex_m::peripheral::NVIC;

@@ -8,7 +8,7 @@
 //!
 //! Frames form a byte stream in both directions, which is cut into pieces according to the MTU.
 //! This file contains what all Bluetooth stacks share. The feature `trouble` adds the stack that is linked into the image.
-//! This code is a separate crate, because the compiler optimises it for size: hardly any of it runs often.
+//! This code is a separate crate, so that the compiler can optimise it for size. Hardly any of it runs often.
 #![no_std]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 
@@ -25,7 +25,8 @@ pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);
 /// Number of connection events that the board may skip while it has nothing to send, so that the radio stays off.
-/// The board's next frame still leaves within one interval, and a laptop's frame arrives within five.
+/// The board's next frame still leaves within one interval,
+/// and a laptop's frame arrives within five intervals.
 pub const LATENCY: u16 = 4;
 /// A link that is silent for this long (in units of 10 ms) is lost.
 pub const SUPERVISION: u16 = 200;

@@ -65,7 +65,7 @@ const SETTINGS: [Setting; 6] = [
 const SET_BYTES: usize = 12;
 /// Size in bytes of one transfer of the configuration file.
 const PIECE: usize = 128;
-/// Time in which the gyroscope starts, 45 ms.
+/// Number of sets in the 45 ms that the gyroscope takes to start.
 const SETTLING_SETS: u8 = 10;
 /// Value in the FIFO that replaces a missing measurement.
 const NO_VALUE: i16 = i16::MIN;

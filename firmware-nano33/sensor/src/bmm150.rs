@@ -197,7 +197,8 @@ impl<I: I2c> Bmm150<I> {
     }
 
     /// Returns the newest field in µT along the chip's axes.
-    /// Returns `None` if there is no new measurement, or if the field is too strong for the chip, as near a magnet.
+    /// Returns `None` if there is no new measurement,
+    /// or if the field is too strong for the chip (near a magnet).
     ///
     /// # Errors
     /// A transfer failed.

@@ -107,7 +107,8 @@ pub trait Imu {
     /// A transfer failed. The batch contains the sets that were read before the failure.
     async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError>;
 
-    /// Checks that the sensor's settings are still in effect. Called when sets stop arriving.
+    /// Checks that the sensor's settings are still in effect.
+    /// The firmware calls this when sets stop arriving.
     ///
     /// # Errors
     /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.

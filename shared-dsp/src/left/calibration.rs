@@ -19,7 +19,8 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Nominal values for an ADXL335 at half the reference, and a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
+    /// Nominal values for an ADXL335 at half the reference.
+    /// The flex sensor has 10 kΩ, is in series with 22 kΩ, and doubles its resistance when bent.
     ///
     /// These values suffice for a good sensor. Real parts differ by ±0.5 g and ±30 %, so calibrate.
     pub const DEFAULT: Self = Self {

@@ -4,7 +4,8 @@
 //! It is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once: when the other finger has been straight for [`CONFIRM_MS`], or earlier at the release.
+//! A bend is counted once: when the other finger has been straight for [`CONFIRM_MS`],
+//! or at an earlier release.
 //! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text
@@ -48,7 +49,7 @@ impl Finger {
 
 /// Returns `part` / `whole` in thousandths, rounded down, at most 2047.
 /// The result is 0 if `whole` is 0.
-/// Both must be below 2^21.
+/// Both arguments must be below 2^21.
 ///
 /// The code uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.
 pub fn permille(part: u32, whole: u32) -> u16 {

@@ -210,7 +210,7 @@ impl TiltDetector {
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
-    // The root is computed digit by digit without a division, which the 8-bit board does not have.
+    // The root is computed digit by digit, because the 8-bit board has no division.
     let mut root: u32 = 0;
     let mut bit: u32 = 1 << 30;
     while bit != 0 {
@@ -293,8 +293,9 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // If the remaining vector is short, one unit of the rounded-down root is over a milliradian of roll.
-                    // The same is true of pitch near 90 degrees.
+                    // If the remaining vector is short,
+                    // one unit of the rounded-down root is more than a milliradian of roll.
+                    // The same holds for a pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());
                     }
@@ -350,7 +351,7 @@ mod tests {
             assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
         }
-        // If a hand has just oscillated, it must come to rest before it can start a command.
+        // A hand that has just oscillated must come to rest before it can start a command.
         assert_eq!(run(&mut d, 20.0, 0.0, 40), Heading::Between);
         assert_eq!(run(&mut d, 20.0, 0.0, 20), Heading::Forward);
         for _ in 0..20 {

@@ -15,7 +15,8 @@
 //! Errors relative to float64 never exceed 10⁻⁴ (10⁻⁴·max(|value|, 1) for skewness and kurtosis).
 //! Float sums are never updated by subtraction ([`crate::right::sliding`]).
 //! All moments are central ([`crate::right::moments`]).
-//! A mean near 0, where 200 samples cancel, has an error of 10⁻⁹ of the unit, even with amplitudes of hundreds.
+//! If 200 samples cancel, so that the mean is near 0, its error is 10⁻⁹ of the unit.
+//! This holds even for amplitudes in the hundreds.
 
 use crate::right::fft::{HalfFrame, powers};
 use crate::right::moments::{Block, SlidingMoments, SlidingSum};
@@ -33,7 +34,7 @@ pub const HOP: usize = 8;
 pub const HOPS: usize = WINDOW / HOP;
 /// Number of full frames of 16 samples in a window.
 const FRAMES: usize = HOPS - 1;
-/// Variance below which a signal has no shape, which is a standard deviation of 10⁻⁸.
+/// A signal with a variance below this value has no shape. The standard deviation is then below 10⁻⁸.
 pub const VARIANCE_FLOOR: f32 = 1e-16;
 
 /// A window over samples of `A` axes.
@@ -91,11 +92,13 @@ impl<const A: usize> FeatureWindow<A> {
         }
     }
 
-    /// Adds a sample. Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
+    /// Adds a sample. Returns true if a hop is complete and the window is full.
+    /// [`Self::features`] then returns new features.
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // The samples are copied one by one, because copying the whole array would become a call.
+            // The samples are copied one by one,
+            // because the compiler would turn a copy of the array into a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }
@@ -246,7 +249,7 @@ fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f3
     replaced
 }
 
-/// The root is correctly rounded on every target, so the bits are equal.
+/// Returns the square root. It is correctly rounded on every target, so all targets give the same bits.
 #[inline(always)]
 pub(crate) fn square_root(x: f32) -> f32 {
     #[cfg(cortex_m4f)]

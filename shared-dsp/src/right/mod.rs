@@ -25,7 +25,7 @@ use core::fmt;
 /// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model needs other values per sample than the board has, or more values.
+    /// The model needs more values per sample than the board has, or different ones.
     Axes {
         /// Axes of the model.
         model: usize,
@@ -62,7 +62,8 @@ impl core::error::Error for ModelMismatch {}
 pub struct RightOutput {
     /// Time of the window's newest sample, as given to [`RightHand::push`].
     pub window_end_ms: u32,
-    /// Whether the window is full. If it is not (at start or after a gap), the scores are from before the gap.
+    /// Whether the window is full.
+    /// After a start or a gap, it is not full, and the scores are from before the gap.
     pub full: bool,
     /// Whether the window or the slow window contains values that replaced NaN.
     pub replaced: bool,

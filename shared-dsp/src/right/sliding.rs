@@ -41,7 +41,7 @@ impl<const N: usize> RingPlace<N> {
         Self { in_back: if in_back < N { in_back } else { 0 }, ..self }
     }
 
-    /// Index of the oldest piece, which the new one replaces; below `N`.
+    /// Index of the oldest piece, which is below `N`. The new piece replaces it.
     #[inline(always)]
     pub fn slot(&self) -> usize {
         // SAFETY: `new` guarantees this, and no other code writes the field.
@@ -49,7 +49,7 @@ impl<const N: usize> RingPlace<N> {
         self.slot
     }
 
-    /// Index of the oldest piece after the step; below `N`.
+    /// Index of the oldest piece after the step. The index is below `N`.
     #[inline(always)]
     pub fn oldest(&self) -> usize {
         // SAFETY: as above.
@@ -57,7 +57,7 @@ impl<const N: usize> RingPlace<N> {
         self.oldest
     }
 
-    /// Number of pieces in the back before the step; below `N`.
+    /// Number of pieces in the back before the step. The number is below `N`.
     #[inline(always)]
     pub fn in_back(&self) -> usize {
         // SAFETY: as above.
@@ -65,7 +65,7 @@ impl<const N: usize> RingPlace<N> {
         self.in_back
     }
 
-    /// Number of pieces in the front after the step; below `N`.
+    /// Number of pieces in the front after the step. The number is below `N`.
     #[inline(always)]
     pub fn in_front(&self) -> usize {
         N - 1 - self.in_back()

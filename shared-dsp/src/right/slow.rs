@@ -5,8 +5,8 @@
 //! The network has learned gestures at various tempos, both slower and faster than the normal one.
 //! In a two-second window of an accelerometer, for example, a left-right of 0.45 Hz is hard to distinguish from swaying.
 //! In the slow window, the same movement appears as 0.9 Hz.
-//! (Accelerations do not change, although a real gesture at twice the tempo has four times the acceleration.
-//! Most features are ratios, so this hardly matters.)
+//! (The accelerations stay the same, but a real gesture at twice the tempo has four times the acceleration.
+//! This hardly matters, because most features are ratios.)
 //!
 //! Only models without a gyroscope use this window. Their features take half the time.
 //! With a gyroscope, the slow window does not improve the results on recordings of real people.

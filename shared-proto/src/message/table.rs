@@ -54,7 +54,7 @@ pub(crate) const fn largest(rows: &[Row], left_only: bool) -> usize {
     most
 }
 
-/// Returns whether the rows are in the order of their numbers, and none is newer than the version.
+/// Returns whether the rows are in the order of their numbers and no row is newer than the version.
 pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
     let mut i = 0;
     while i < rows.len() {

@@ -5,8 +5,8 @@
 //! simavr differs from the chip in several ways.
 //! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
 //! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
-//! Two errors are corrected here: simavr sleeps without SMCR.SE,
-//! In addition, its interrupting watchdog never resets a program that has disabled interrupts.
+//! This module corrects two errors of simavr: it sleeps even if SMCR.SE is clear,
+//! and a watchdog in interrupt mode never resets a program that has disabled interrupts.
 
 mod callbacks;
 
@@ -21,9 +21,9 @@ use simavr_ffi as ffi;
 
 /// Clock of the Nano.
 pub const CYCLES_PER_MS: u64 = 16_000;
-/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr uses.
+/// Number of cycles per byte at 115200 baud. A bit takes 136 cycles, and simavr uses 11 bits per byte.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Number of cycles between two checks for events. After a reset, about this many are missing in the count.
+/// Number of cycles between two checks for events. After a reset, the count is too low by about this number.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;

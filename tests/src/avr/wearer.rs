@@ -37,7 +37,7 @@ pub fn smooth(x: f64) -> f64 {
 /// One person's sensors.
 #[derive(Clone, Debug)]
 pub struct Sensors {
-    /// Volts per g relative to nominal, x y z.
+    /// Sensitivity of x, y and z, as a multiple of the nominal volts per g.
     pub sensitivity: [f64; 3],
     /// Offset from half the supply in mV, x y z.
     pub offset_mv: [f64; 3],
@@ -110,7 +110,8 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// Tilts to these angles in radians relative to neutral, starting at `start_s` and taking `lasts_s`.
+    /// Tilts the hand to these angles in radians relative to neutral.
+    /// The tilt starts at `start_s` and takes `lasts_s`.
     pub fn tilt(&mut self, pitch: f64, roll: f64, start_s: f64, lasts_s: f64) {
         self.pitch.go(pitch, start_s, lasts_s);
         self.roll.go(roll, start_s, lasts_s);
@@ -154,7 +155,7 @@ impl Tremor {
 pub enum Fault {
     /// This channel (0..=4 = x, y, z, index, middle) is disconnected.
     Open(u8),
-    /// Voltage in mV of a rail to which this channel is shorted.
+    /// This channel is shorted to a rail, whose voltage is given in mV.
     Shorted(u8, f64),
     /// All accelerations are multiplied by this factor.
     Gravity(f64),

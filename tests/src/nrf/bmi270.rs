@@ -17,7 +17,7 @@ const SET_BYTES: usize = 12;
 /// Size of the FIFO: 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
 
-/// Durations: leaving power-save mode, a reset, and the start of the loaded program.
+/// Durations of three actions: leaving power-save mode, a reset, and the start of the loaded program.
 const WAKE: u64 = us(450);
 const RESET: u64 = ms(2);
 const INITIALISE: u64 = ms(20);

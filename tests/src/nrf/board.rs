@@ -44,7 +44,7 @@ enum Stop {
     ExceptionReturn,
     /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
-    /// The core called a function at this address that the emulator executes in its place.
+    /// The core called the function at this address, and the emulator executes it instead of the core.
     Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
@@ -58,7 +58,7 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Number of cycles of executed instructions, and its value when interrupts were masked.
+    /// Number of cycles spent on instructions, now and when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
     /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
@@ -295,7 +295,8 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // This is the state after the stock bootloader: its own vector table is active, and the converter and the cache are on.
+            // This is the state after the stock bootloader:
+            // the bootloader's vector table is active, and the converter and the cache are on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
             // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.
@@ -444,7 +445,8 @@ impl Board {
         self.reset(PIN);
     }
 
-    /// Simulates a slow crystal whose start outlasts the stock bootloader, which then leaves CLOCK's interrupt enabled.
+    /// Simulates a slow crystal, whose start takes longer than the stock bootloader runs.
+    /// The bootloader then leaves CLOCK's interrupt enabled.
     pub fn leave_clock_interrupt(&mut self) {
         self.slow_crystal = true;
         self.start();

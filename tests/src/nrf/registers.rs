@@ -1,4 +1,5 @@
-//! The common parts of all emulated sensors with one bus address. They have 128 registers of one byte, and a transfer selects one.
+//! The common parts of all emulated sensors with one bus address.
+//! Each sensor has 128 registers of one byte, and each transfer selects one register.
 //! A [`Motion`] moves each sensor, and each sensor has its own clock.
 
 use super::i2c::Sensor;

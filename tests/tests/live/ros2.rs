@@ -19,7 +19,7 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// Number of attempts, because the model does not recognise every simulated gesture.
+/// Maximum number of attempts. The model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 4;
 /// Limit in wall-clock time. A gesture takes 4 s of the boards' time.
 const SOON: Duration = Duration::from_secs(60);
@@ -31,7 +31,8 @@ fn is_armed(bridge: &mut Teller) -> bool {
     bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v))
 }
 
-/// Holds the hand level and then at this tilt until the robot has this speed. Returns the first message with it.
+/// Holds the hand level and then at this tilt until the robot has this speed.
+/// Returns the first message with this speed.
 fn tilt(
     (bridge, robot): (&mut Teller, &mut Teller),
     left: &LeftStation,

@@ -1,8 +1,9 @@
 //! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
-//! Pairing uses LE Secure Connections, "just works". It protects against listeners, but not against an attacker nearby
-//! who answers in place of the laptop during pairing. Any laptop may bond while no bond exists, and for [`PAIRING`]
-//! after each start. Later, only laptops whose keys are stored are trusted.
+//! Pairing uses LE Secure Connections, "just works".
+//! It protects against listeners, but not against an attacker nearby who answers in place of the laptop.
+//! Any laptop may bond while no bond exists, and for [`PAIRING`] after each start.
+//! Later, only laptops whose keys are stored are trusted.
 
 use core::cell::RefCell;
 
@@ -54,7 +55,8 @@ impl Bonds {
         }
     }
 
-    /// Gives the stack exactly the stored keys. A laptop that paired outside the permitted time has replaced some of them.
+    /// Gives the stack exactly the stored keys.
+    /// If a laptop has paired outside the permitted time, it has replaced some keys in the stack.
     pub fn restore(&self, stack: &Stack) {
         let laptops = *self.0.borrow();
         loop {

@@ -28,7 +28,7 @@ use crate::{ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID
 pub type Payload = heapless::Vec<u8, PAYLOAD>;
 type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 
-/// Time for a laptop that may bond, because its owner must find the question and answer it.
+/// A laptop that may bond gets this much time, because its owner must find a question and answer it.
 const WHILE_PAIRING: Duration = Duration::from_secs(30);
 /// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
@@ -211,7 +211,8 @@ impl Visit {
 
     /// Sends frames in pieces.
     async fn send(&self) {
-        // The beginning of a frame was sent but its end was not, so the next frame must not be taken for that end.
+        // Set if the beginning of a frame was sent but its end was not.
+        // The next frame must then not be mistaken for the end of this one.
         let mut torn = false;
         loop {
             let frame = poll_fn(|context| self.outbox.poll_next(context)).await;
@@ -229,7 +230,8 @@ impl Visit {
         }
     }
 
-    /// Queues a piece of a frame. Returns false if there is no room for longer than a hop: it is then late.
+    /// Queues a piece of a frame.
+    /// Returns false if there is no room for longer than a hop, because the piece is then late.
     async fn notify(&self, piece: &[u8]) -> bool {
         let out = &self.server.hand.out;
         let queued = with_timeout(LATE, async {
@@ -243,7 +245,8 @@ impl Visit {
         matches!(queued.await, Ok(Ok(())))
     }
 
-    /// Lets a laptop bond while this is allowed, and disconnects a laptop that is still not trusted after some time.
+    /// Lets a laptop bond while this is allowed.
+    /// Disconnects a laptop that is still not trusted after some time.
     async fn watch(&self) {
         let mut waited = Duration::from_secs(0);
         loop {

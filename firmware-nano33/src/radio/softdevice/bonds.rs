@@ -20,7 +20,8 @@ use super::flash::SoftDeviceFlash;
 use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
 
-/// Whether the laptop listens, and its subscription in S140's own format. A bonded laptop expects it to survive an absence.
+/// Whether the laptop listens, and its subscription in S140's own format.
+/// A bonded laptop expects the board to remember the subscription while it is away.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 struct Subscription {

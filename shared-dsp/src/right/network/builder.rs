@@ -263,7 +263,7 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
 fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
     let one = |&weight_scale: &f32| {
         // TFLite multiplies and divides the scales as doubles.
-        // Older releases used floats for the scale of a whole tensor, and one output in 400,000 then differs.
+        // Older releases used floats for the scale of a whole tensor. One output in 400,000 then differs.
         let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
         // If all weights of a row are zero, it has no scale. TFLite then multiplies by 0, and our result is also 0 for every 32-bit sum.

@@ -30,7 +30,7 @@ pub enum ModelError {
     },
     /// The table of exponentials does not start at 1 or does not decrease.
     ExponentialTable,
-    /// The labels are empty, are not printable ASCII, or have a wrong number.
+    /// The labels are empty or not printable ASCII, or their number is wrong.
     Labels,
 }
 

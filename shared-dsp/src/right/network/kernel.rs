@@ -1,7 +1,7 @@
 //! The inner loop of a dense layer. It processes four rows at a time, with two multiply-accumulates per instruction.
 //!
 //! A Cortex-M4F multiplies two pairs of 16-bit numbers in one instruction (SMLAD).
-//! However, int8 numbers must first be widened, which takes as long again.
+//! However, int8 numbers must first be widened, which takes the same time again.
 //! The following algebra avoids most of this work. For two adjacent weights (w0, w1) and inputs (x0, x1), let
 //!
 //! ```text
@@ -319,7 +319,7 @@ mod cortex_m4f {
         ".text",
     );
 
-    /// The beginning of [`Arguments`], and where the sums are written.
+    /// The first fields of [`Arguments`], and the place where the sums are written.
     #[repr(C)]
     struct SumArguments {
         inputs: *const Quad, // 0
@@ -341,7 +341,8 @@ mod cortex_m4f {
         if fits {
             let arguments = SumArguments { inputs: inputs.as_ptr(), quads: inputs.len(), block_bytes, sums };
             // SAFETY: the block is aligned and matches the inputs' length.
-            // The routine reads both, writes the sums, and follows the procedure call standard.
+            // The routine reads the block and the inputs, writes the sums,
+            // and follows the procedure call standard.
             unsafe { bimanual_sums(&arguments, block.as_ptr()) };
         }
         fits

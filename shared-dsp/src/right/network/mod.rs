@@ -247,7 +247,8 @@ impl<'a> Model<'a> {
         let mut last = i32::MAX;
         for (index, word) in exponentials.iter().enumerate() {
             let value = i32::from_le_bytes(*word);
-            // The first value is 1. A sum of 16 values stays in range because no value is larger or negative.
+            // The first value is 1.
+            // A sum of 16 values stays in range, because each value is between 0 and the first value.
             if value < 0 || value > last || (index == 0 && value != i32::MAX) {
                 return Err(ModelError::ExponentialTable);
             }

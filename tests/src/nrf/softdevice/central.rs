@@ -193,7 +193,7 @@ impl Central {
         self.commands.clear();
     }
 
-    /// The board is silent after a restart, which the laptop notices at the given cycle.
+    /// After a restart, the board is silent. The laptop notices this at the given cycle.
     pub(super) fn silence(&mut self, noticed_at: u64) {
         self.lost_at = Some(noticed_at);
         self.left();

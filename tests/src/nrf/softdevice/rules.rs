@@ -46,9 +46,10 @@ pub const CALL_CYCLES: u64 = us(5);
 pub const FORWARD_CYCLES: u64 = 40;
 
 /// Time that S140 takes from the core in a connection event.
-/// The values are typical ones from the SoftDevice specification ("BLE peripheral connection processor usage
-/// patterns"):
-/// The times are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end, and 40 per packet at priority 4.
+/// The values are typical ones from the SoftDevice specification
+/// (in "BLE peripheral connection processor usage patterns").
+/// They are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end,
+/// and 40 per packet at priority 4.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }
