@@ -134,7 +134,8 @@ impl Dataset {
                 if !wanted(&labels::canonical(&folder_name), person) {
                     continue;
                 }
-                // A single recording may contain little rotation, but if this is true of most of a person's recordings, the unit is wrong.
+                // A single recording may contain little rotation.
+                // If most of a person's recordings contain little rotation, the unit is wrong.
                 let recording = match Recording::read(&file) {
                     Err(error) => match Recording::read_as(&file, &in_degrees) {
                         Ok(recording) => {

@@ -100,7 +100,7 @@ pub fn canonical(name: &str) -> String {
     }
 }
 
-/// Words for directions and their opposites. If one contains another, the longer one comes first.
+/// Words for directions and their opposites. If one word contains another, the longer word comes first.
 const OPPOSITES: [(&str, &str); 9] = [
     ("counter-clockwise", "clockwise"),
     ("counterclockwise", "clockwise"),

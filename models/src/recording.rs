@@ -166,7 +166,8 @@ impl Recording {
     ///
     /// If the rate is within 1 % and there are no gaps, the samples are used unchanged.
     /// Otherwise, each new sample is interpolated linearly between its neighbours in time.
-    /// A recording with more than 1.5 times the rate is first averaged over one new interval, to avoid aliasing.
+    /// A recording with more than 1.5 times this rate is first averaged over one new interval,
+    /// to avoid aliasing.
     pub fn resampled(&self) -> Self {
         let interval_ms = 1000.0 / RATE_HZ;
         if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {

@@ -67,7 +67,8 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
         .map(|axis| {
             let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
             let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
-            // Acceleration and rotation each get equal weight in total, because axes with little movement are mostly noise.
+            // Acceleration and rotation get the same total weight,
+            // because axes with little movement are mostly noise.
             variance
         })
         .collect();
@@ -119,7 +120,8 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
 #[cfg(feature = "adapt")]
 const LEARNT_STRIDE: usize = crate::RATE_HZ as usize;
 
-/// The windows of a prepared recording that recipe `aligned` learns. The samples of a window follow each other.
+/// The windows of a prepared recording that recipe `aligned` learns.
+/// Each window stores its samples in sequence.
 #[cfg(feature = "adapt")]
 pub(crate) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
     let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(LEARNT_STRIDE);

@@ -75,7 +75,8 @@ fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
-/// Plays wearers and compares the result with a lower limit. The README contains the measured value, which exceeds the limit.
+/// Plays wearers and compares the result with a lower limit.
+/// The README contains the measured value, which exceeds the limit.
 fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();

@@ -110,7 +110,8 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the variants that the tests run. The images with Bluetooth linked in take minutes to build, so only `--full` has them.
+/// Builds the variants that the tests run.
+/// The images with Bluetooth linked in take minutes to build, so only `--full` has them.
 ///
 /// # Errors
 /// As [`run`].
@@ -159,7 +160,7 @@ pub fn test_drivers() -> Result<()> {
     sh(tests.current_dir(root().join("firmware-nano33/sensor")).env("CARGO_TARGET_DIR", target_dir()))
 }
 
-/// Clippy of all variants.
+/// Runs clippy on all variants.
 ///
 /// # Errors
 /// Names each problem.

@@ -88,8 +88,10 @@ const PARTS: [(&[&str], &str); 5] = [
         "thumbv7em-none-eabihf",
     ),
 ];
-/// Crates whose licence is a separate file. We have read these licences: an archive that contains the file may contain the crate.
-/// Nordic's five-clause licence permits images for Nordic's chips to include its interface of S140 and its controller.
+/// Crates whose licence is a separate file.
+/// We have read these licences: an archive that contains the file may contain the crate.
+/// Nordic's five-clause licence permits images for Nordic's chips to include its interface of S140
+/// and its controller.
 const LICENCE_FILES: [(&str, &str); 3] = [
     ("nrf-softdevice-s140", "Nordic's five clauses"),
     ("nrf-sdc-sys", "Nordic's five clauses"),
@@ -192,7 +194,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
         let name = part.split(' ').next().unwrap_or("");
         let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
         let licence = by_file.map_or(licence, |(_, licence)| licence);
-        // Of several licences, one suffices. A slash may also separate them.
+        // If a crate has several licences, one suffices. A slash may also separate them.
         let free = licence
             .split(" OR ")
             .flat_map(|l| l.split('/'))
@@ -245,7 +247,7 @@ fn notices(parts: &[Part<'_>]) -> Result<String> {
     Ok(all)
 }
 
-/// As a user: unpack, run.
+/// Unpacks the archive and runs its programs, as a user would.
 fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     if into.exists() {
         fs::remove_dir_all(into)?;

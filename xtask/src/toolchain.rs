@@ -1,4 +1,5 @@
-//! Selects the compiler for other targets. This is rustup's if it has the target, and otherwise that of Debian's packages.
+//! Selects the compiler for other targets.
+//! It uses rustup's compiler if that supports the target, and otherwise the compiler in Debian's packages.
 //!
 //! Either compiler builds the images of both boards from the same sources.
 //! Debian's `rustc-web` contains the source of the library but no compiled core, so `core` is built too.

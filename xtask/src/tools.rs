@@ -101,7 +101,8 @@ pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     apt_get(&args)
 }
 
-/// Does the same on systems with Debian's packages. Elsewhere, tools may have other names, and the build reports what is missing.
+/// Does the same as [`ensure`] on systems with Debian's packages.
+/// Elsewhere, tools may have other names, and the build reports what is missing.
 ///
 /// # Errors
 /// As [`ensure`].

@@ -37,7 +37,8 @@ impl Pause {
     /// 1.4 to 2.5 s.
     pub const USUAL: Self = Self { before_s: (0.3, 0.8), turn_s: 0.4, after_s: (0.7, 1.3) };
 
-    /// Length of the rest in s. For up to 0.4 s of it the hand turns, and before and after it is still for equal times.
+    /// Creates a rest of this length in s. The hand turns for up to 0.4 s of it.
+    /// Before and after the turn, the hand is still for equal times.
     pub fn of(seconds: f64) -> Self {
         let turn_s = 0.4f64.min(0.6 * seconds);
         let still_s = 0.5 * (seconds - turn_s);
@@ -52,7 +53,7 @@ fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
 /// For this long after its end, a recording can still have an event, because a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
-/// The position of a recording in a joined one: samples from `start` up to `end`, exclusive.
+/// The position of a recording in a joined recording. The sample with index `end` is not included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Annotation {
     /// First sample.
@@ -329,7 +330,7 @@ pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usi
     }
 }
 
-/// What a model of recipe `aligned` computes for a hop, before any decision.
+/// The outputs of a model of recipe `aligned` for one hop, before any decision.
 #[derive(Clone, Debug)]
 pub struct Heard {
     /// The hop's last sample.

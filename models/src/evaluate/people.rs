@@ -172,12 +172,13 @@ impl Trial<'_> {
         self.grade_of(&self.without(person, seed)?, person)
     }
 
-    /// How a model classifies all recordings of `person`.
+    /// Tests a model on all recordings of `person`.
     pub fn grade_of(&self, model: &Trained, person: &str) -> Result<Graded, TrialError> {
         self.grade(model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Events that a model and a board's thresholds detect in all recordings of `person`, joined into one.
+    /// Determines the events that a model and a board's thresholds detect in all recordings of `person`.
+    /// The recordings are joined into one.
     pub fn events_of(
         &self,
         model: &Trained,
@@ -211,7 +212,8 @@ impl Trial<'_> {
         self.grade_of(&train(&others, &dropped, self.recipe, &Self::job(seed))?, person)
     }
 
-    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`].
+    /// Counts the events of a model that has learned nothing from `person`,
+    /// for each [`MovementConfig::max_rest`].
     /// It plays all recordings of `person`, including those without a gesture, joined with this pause.
     /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(

@@ -1,5 +1,6 @@
 //! A complete comparison on one folder for several seeds.
-//! It holds out each person, then a random 20 % of the recordings, and it also tests a few shown examples.
+//! It holds out each person, and then a random 20 % of the recordings.
+//! It also tests models that were shown a few examples.
 //! `models people` prints its results, and `models report` draws the same figures.
 
 use std::collections::BTreeMap;
@@ -35,7 +36,9 @@ pub struct Row {
 }
 
 impl Study {
-    /// Runs the comparison with the seeds 1 to `seeds`. If the recipe can adapt, it also tests `counts` examples, and 0.
+    /// Runs the comparison with the seeds 1 to `seeds`.
+    /// If the recipe can adapt,
+    /// it also tests models after 0 examples and after each number of examples in `counts`.
     /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,
@@ -170,7 +173,8 @@ pub struct Events {
 }
 
 impl Events {
-    /// Plays every person's recordings with models trained without them, for the seeds 1 to `seeds`.
+    /// Plays every person's recordings with models that were trained without this person,
+    /// for the seeds 1 to `seeds`.
     /// It also plays `aimless_s` seconds of simulated wearers, divided among the models of the first seed.
     pub fn run(
         trial: &Trial<'_>,

@@ -185,7 +185,8 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(None)
     }
 
-    /// Returns whether a row is skipped. This is a repeated header, units below the header, or text if the format permits it.
+    /// Returns whether a row is skipped.
+    /// Such a row is a repeated header, units below the header, or text if the format permits it.
     fn is_skipped(&mut self, cells: &[&str]) -> bool {
         let names = &self.head.names;
         let is_number = |cell: &&str| text::number(cell).is_some_and(f64::is_finite);

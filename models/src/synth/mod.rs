@@ -185,7 +185,7 @@ mod tests {
             }
             count
         };
-        // The axis (forward, left or up) that is perpendicular to the circle.
+        // This axis (forward, left or up) is perpendicular to the circle.
         assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
         assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
     }

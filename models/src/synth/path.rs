@@ -374,7 +374,7 @@ fn moves(
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
-        // The last move returns before the next motion starts, and a short pause follows it.
+        // The last move returns before the next motion starts, and a short pause follows this move.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
             place = BodyPose::default();

@@ -5,7 +5,8 @@ use shared_dsp::right::network::DenseSpec;
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
-/// Maximum number of other operators, which are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
+/// Maximum number of other operators.
+/// These are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
 /// The output of the last operator in a file. In either case, our own softmax computes the probabilities.
@@ -155,7 +156,8 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
-        // If the batch size is open, these operators compute the shape of a RESHAPE. It is checked at the RESHAPE.
+        // If the batch size is open, these operators compute the shape of a RESHAPE.
+        // The shape is checked at the RESHAPE.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
         if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;

@@ -1,4 +1,5 @@
-//! Trains in epochs, each of which uses every window once. Recipes use this if held-out recordings determine the end.
+//! Trains in epochs, each of which uses every window once.
+//! Recipes use this method if held-out recordings determine the end of training.
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};

@@ -52,7 +52,8 @@ impl Steps {
     pub const ADAPT: Self =
         Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
-    /// Returns the number of steps for these windows of recordings and their varied copies, so that each is seen sixteen times.
+    /// Returns the number of steps after which each of these windows has been seen sixteen times.
+    /// The windows are those of recordings and of their varied copies.
     /// If thirty people's windows are seen only four times each, the accuracy is three to four points lower.
     pub fn following(self, windows: usize) -> Self {
         const TIMES: usize = 16;
@@ -218,7 +219,7 @@ impl Fitting {
         for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
             made.copy_from_slice(&self.biases.values);
             for (value, weights) in row.iter().zip(self.used.chunks_exact(self.outputs)) {
-                // Behind a ReLU, half of the values are 0.
+                // After a ReLU, half of the values are 0.
                 if *value != 0.0 {
                     made.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
                 }

@@ -77,7 +77,8 @@ impl Trained {
         }
     }
 
-    /// Writes `NAME.tflite`, `NAME.float.tflite`, and `NAME.memory.bin` if there is one. The card `NAME.card.json` comes last.
+    /// Writes `NAME.tflite`, `NAME.float.tflite`, and `NAME.memory.bin` if there is one.
+    /// The card `NAME.card.json` comes last.
     pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
         let files = ["tflite", "float.tflite", "card.json"]
             .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));

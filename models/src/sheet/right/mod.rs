@@ -18,7 +18,7 @@ use super::reader::{ColumnTable, Format, Problem, ReadCell, Rows, is_unit_of_tim
 use super::{Reading, SENSORS, Sensor, Sheet, clock, text};
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError, SAME_RATE};
 
-/// A blank line with a longer pause in ms begins another recording.
+/// A blank line begins another recording if the pause is longer than this, in ms.
 const PAUSE_MS: f64 = 1000.0;
 
 /// Samples that belong to one recording in a file.

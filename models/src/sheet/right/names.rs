@@ -56,7 +56,7 @@ pub(crate) fn units(sensor: Sensor) -> &'static [(&'static str, f64)] {
     }
 }
 
-/// Returns how many of our units one such unit is, if it belongs to this sensor.
+/// Returns the size of this unit in our units, if it belongs to this sensor.
 pub(crate) fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     let unit = unit.trim().to_lowercase();
     units(sensor).iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor)

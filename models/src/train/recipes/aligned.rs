@@ -39,7 +39,8 @@ pub struct Aligned {
     /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who make gestures that the simulator knows.
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
-    /// Real people whose daily movement also provides examples of `other`; only with `bystanders`.
+    /// Real people whose daily movement also provides examples of `other`.
+    /// They are used only with `bystanders`.
     pub daily: Daily,
 }
 
@@ -103,7 +104,7 @@ impl Recipe for Aligned {
 
     fn beside(&self, axes: usize, labels: &[String]) -> Beside {
         let mut beside = Beside::default();
-        // With the label `idle`, they would teach the model that slow movement is rest.
+        // With the label `idle`, the bystanders would teach the model that slow movement is rest.
         let no_gesture = labels.iter().position(|label| label == OTHER).filter(|_| self.bystanders > 0);
         let (mut bystanders, mut everyday) = (0, 0);
         if let Some(label) = no_gesture {
