@@ -161,7 +161,7 @@ impl AnnotatedRecording {
         for n in 0..(seconds * RATE_HZ) as usize {
             let part = ((n as f64 / RATE_HZ - before) / turn_s).clamp(0.0, 1.0);
             let moved = part * part * part * (10.0 + part * (6.0 * part - 15.0));
-            // Change of the noise above per second.
+            // Speed of the turn: the change of `moved` per second.
             let pace = 30.0 * (part * (1.0 - part)).powi(2) / turn_s;
             for axis in 0..self.axes {
                 let noise: f64 = StandardNormal.sample(rng);

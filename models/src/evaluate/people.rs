@@ -177,7 +177,7 @@ impl Trial<'_> {
         self.grade(model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Determines the events that a model and a board's thresholds detect in all recordings of `person`.
+    /// Counts the events that a model and a board's thresholds detect in all recordings of `person`.
     /// The recordings are joined into one.
     pub fn events_of(
         &self,

@@ -75,7 +75,7 @@ impl FromStr for Units {
             let counts =
                 part.split_once('/').and_then(|(n, unit)| Some((n.trim().parse::<f64>().ok()?, unit)));
             let (per_unit, unit) = counts.unwrap_or((1.0, part));
-            // `gs` contains both gauss and g; the acceleration has priority.
+            // `gs` is a spelling of both gauss and g, and the acceleration has priority.
             let found = SENSORS.into_iter().find_map(|sensor| Some((sensor, names::factor(sensor, unit)?)));
             let Some((sensor, factor)) = found.filter(|_| per_unit.is_finite() && per_unit > 0.0) else {
                 return Err(format!(
