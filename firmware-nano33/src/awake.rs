@@ -31,7 +31,7 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
 /// Sleeps until an event.
 fn sleep() {
     // nRF52840 erratum 87: a pending floating-point exception prevents the core from sleeping.
-    // Exception flags are sticky, and an inexact result is enough to set one.
+    // The exception flags are sticky, and an inexact result is enough to set a flag.
     // The code therefore clears the flags and the pending interrupt.
     // SAFETY: the exception flags of FPSCR have no other use here, and interrupt 38 (FPU) has no handler.
     unsafe {

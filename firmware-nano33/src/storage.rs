@@ -34,7 +34,7 @@ impl NorFlashError for FlashFailed {
 
 /// Flash operations that the storage requires.
 pub trait Flash {
-    /// Sets a page to all ones.
+    /// Erases a page, which sets all its bits to one.
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed>;
     /// Writes words to erased flash. The address must be a multiple of 4.
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;

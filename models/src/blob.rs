@@ -33,7 +33,7 @@ pub enum ModelError {
         /// Description of the problem that the file has.
         source: TfliteError,
     },
-    /// Model and card are both valid, but they do not match or are not suitable.
+    /// The model and the card are each valid, but they do not match or are not suitable.
     #[error("{file}: {what}")]
     Mismatch {
         /// The model's file.
@@ -43,7 +43,7 @@ pub enum ModelError {
     },
 }
 
-/// The files of a model, which were read and match each other.
+/// The files of a model. They have been read, and they match each other.
 #[derive(Clone, Debug)]
 pub struct ModelFiles {
     /// The card.

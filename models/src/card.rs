@@ -46,7 +46,7 @@ pub struct Card {
     /// Results for the recordings that were not used in training. `data.test` lists them.
     pub test: Option<Scores>,
     /// Results for the validation recordings.
-    /// They are optimistic, because these recordings determined when training stopped.
+    /// The results are optimistic, because these recordings determined when training stopped.
     pub validation: Option<Scores>,
 }
 

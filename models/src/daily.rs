@@ -8,7 +8,7 @@
 //! The file starts with `BIMANDAY`, the number of people as u8, and their names.
 //! Each name follows its length as u8.
 //! Then there are three tables.
-//! The first has features without a gyroscope, and the third has features with one.
+//! The first table has features without a gyroscope, and the third table has features with a gyroscope.
 //! The second has features of the slow window ([`shared_dsp::right::slow`]).
 //! A table starts with its numbers of rows and columns as u32.
 //! For each column, it then has an offset and a unit as f32 (little-endian).

@@ -3,7 +3,7 @@
 //! Every CSV file in every label folder is read.
 //! `index.csv`, other files at the top level (licences) and hidden files are ignored and listed in `ignored`.
 //! If a folder has recordings with 3, 6 and 9 axes, the reader uses the axes common to all recordings.
-//! This works because the sets of axes are nested: accelerometer, gyroscope, magnetometer.
+//! The sets of axes are nested: accelerometer, then gyroscope, then magnetometer.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

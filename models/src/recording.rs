@@ -41,7 +41,8 @@ impl Recording {
     /// Creates a recording from its parts: `values` contains `axes` values for each entry of `time_ms`.
     ///
     /// # Panics
-    /// Panics if `axes` is not 3, 6 or 9, or if the lengths do not match. Callers use constants for both.
+    /// Panics if `axes` is not 3, 6 or 9, or if the lengths do not match.
+    /// Callers use constants, so no panic occurs.
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
@@ -166,8 +167,8 @@ impl Recording {
     ///
     /// If the rate is within 1 % and there are no gaps, the samples are used unchanged.
     /// Otherwise, each new sample is interpolated linearly between its neighbours in time.
-    /// A recording with more than 1.5 times this rate is first averaged over one new interval,
-    /// to avoid aliasing.
+    /// To avoid aliasing,
+    /// a recording is first averaged over one new interval if it has more than 1.5 times this rate.
     pub fn resampled(&self) -> Self {
         let interval_ms = 1000.0 / RATE_HZ;
         if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {

@@ -67,8 +67,8 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
         .map(|axis| {
             let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
             let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
-            // Acceleration and rotation get the same total weight,
-            // because axes with little movement are mostly noise.
+            // Acceleration and rotation get the same total weight.
+            // Axes with little movement are mostly noise, so they must not get the same weight as other axes.
             variance
         })
         .collect();

@@ -1,7 +1,7 @@
 //! Filters the packets that arrive over Bluetooth before the host stack receives them.
 //!
-//! The host stack `trouble-host` 0.8 does not check the lengths of requests,
-//! and panics if a request is too short.
+//! The host stack `trouble-host` 0.8 does not check the lengths of requests.
+//! A request that is too short makes it panic.
 //! Without this filter, anybody in range could therefore restart the board, even without pairing.
 //! The filter accepts only packets that a board uses, and only lengths that the Core Specification allows.
 //! In its volume 3, part A describes L2CAP, part F describes ATT, and part H describes the security manager.
@@ -168,8 +168,8 @@ mod tests {
         assert!(!passes(SIGNALLING, &[0x13, 1, 2, 0, 0]));
         assert!(!passes(SIGNALLING, &[0x14, 1, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]));
         assert!(!passes(SECURITY, &[0x0C; 64]));
-        // Only the peripheral sends these packets,
-        // or they carry keys that Secure Connections do not distribute.
+        // Some of these packets come only from a peripheral.
+        // The others carry keys that Secure Connections do not distribute.
         for (code, length) in [(0x02, 7), (0x0B, 2), (0x06, 17), (0x07, 11), (0x0A, 17)] {
             assert!(!is_security(code, length), "{code}");
         }

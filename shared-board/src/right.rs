@@ -14,7 +14,7 @@ use shared_proto::message::{
 };
 
 /// [`RightBoard::silence`] is due after this time without a sample, and again after each further period.
-/// This is longer than the erasure of a flash page, during which samples wait in the sensor.
+/// The time is longer than the erasure of a flash page, during which samples wait in the sensor.
 pub const SILENCE_MS: u32 = 120;
 
 /// The state that the board's light shows.
@@ -69,7 +69,7 @@ impl<H: Hand> RightBoard<H> {
     /// Processes the sample with this `number` since start, and its time.
     /// Returns whether [`RightBoard::send_due`] has something to send.
     ///
-    /// This function only computes, so that another one only sends.
+    /// This function only computes, and another function only sends.
     #[inline]
     pub fn sample(&mut self, sample: &H::Sample, time_ms: u32, number: u32) -> bool {
         match self.mode {
@@ -78,8 +78,8 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop receives this reason instead of each state,
-                // so it knows why no gesture is recognised.
+                // The laptop receives the reason why no gesture is recognised,
+                // as often as it would otherwise receive states.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }
@@ -157,8 +157,8 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Answers a message.
-    /// Messages about models are returned,
-    /// because a [`ModelStore`](crate::models::ModelStore) must answer them.
+    /// The method does not answer messages about models, but returns them.
+    /// A [`ModelStore`](crate::models::ModelStore) must answer these messages.
     ///
     /// `trusted` is true if the link may change settings and stored data (with Bluetooth, if it is bonded).
     pub fn receive<'r>(

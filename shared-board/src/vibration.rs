@@ -21,7 +21,7 @@ struct Pattern {
     on_ms: u32,
     off_ms: u32,
     percent: u8,
-    /// Priority of the signal. A less important signal does not interrupt a more important one.
+    /// Priority of the signal. A less important signal does not interrupt a more important signal.
     weight: u8,
 }
 

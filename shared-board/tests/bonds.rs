@@ -147,7 +147,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     /// After repeated power cuts at any word and any bit, all stored bonds remain.
-    /// Only the bond of another laptop may replace a stored one.
+    /// Only the bond of another laptop may replace a stored bond.
     #[test]
     fn no_number_of_power_cuts_makes_a_board_forget(
         filled in 0..2 * PER_PAGE,

@@ -91,7 +91,8 @@ fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
     let first = rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0];
     assert!(first);
     let states = rig.line.left();
-    // The heading changes from between to neutral. This state is sent immediately, in addition to the regular ones.
+    // The heading changes from between to neutral.
+    // This state is sent immediately, in addition to the regular states.
     assert_eq!(states.len(), 51);
     for (i, state) in states.iter().enumerate() {
         assert_eq!(state.sequence, i as u16);

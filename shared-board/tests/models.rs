@@ -1,5 +1,5 @@
 //! Checks that a board receives a model either completely or not at all.
-//! This must hold for any failure of the line or the power supply.
+//! No failure of the line or of the power supply may change this.
 
 mod common;
 

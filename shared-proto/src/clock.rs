@@ -16,7 +16,7 @@
 //! ```
 
 /// Maximum drift of a board's clock relative to the laptop's, in parts per million.
-/// This is far more than any board needs, as the resonator of an Arduino Nano has only 5,000.
+/// No board needs so much: the resonator of an Arduino Nano has only 5,000.
 /// With ten pings per second, this drift adds 5 ms.
 pub const DRIFT_PPM: u32 = 50_000;
 
@@ -180,7 +180,8 @@ mod tests {
     }
 
     proptest! {
-        /// For any allowed drift and any delays of pings, pongs and frames, no computed age is below the true one.
+        /// For any allowed drift and any delays of pings, pongs and frames,
+        /// no computed age is below the true age.
         /// No computed age exceeds the true one by more than the travel time of the fastest recent ping.
         #[test]
         fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(

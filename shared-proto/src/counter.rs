@@ -47,17 +47,17 @@ impl CounterTracker {
     }
 }
 
-/// How the sequence number of a frame relates to earlier ones.
+/// How the sequence number of a frame relates to earlier numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// The frame is newer than all earlier ones.
+    /// The frame is newer than all earlier frames.
     New {
-        /// Number of frames that are missing between the last one and this one.
+        /// Number of frames that are missing between the last frame and this frame.
         lost: u16,
     },
-    /// The frame has the same number as the last one. Ignore it.
+    /// The frame has the same number as the last frame. Ignore it.
     Duplicate,
-    /// The frame is older than the last one. Ignore it.
+    /// The frame is older than the last frame. Ignore it.
     /// Several such frames in a row mean that the board has restarted and its hello was lost.
     /// In this case, send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
     Old,
@@ -155,7 +155,7 @@ mod tests {
                     0 | 1 => continue,
                     2 => line.extend([frame, frame]),
                     3 => {
-                        // This frame arrives after the next one, unless the next one has replaced it.
+                        // This frame arrives after the next frame, unless the next frame has replaced it.
                         if base.is_some() && held.is_none() {
                             held = Some(frame);
                         }

@@ -5,7 +5,7 @@
 //!
 //! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted, whatever precedes it.
 //! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
-//! This is harmless because empty frames are skipped.
+//! The additional delimiter is harmless, because empty frames are skipped.
 //! Damaged frames are counted and dropped, and never requested again.
 
 use crate::crc::Crc32;
@@ -67,7 +67,7 @@ pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&
 
 /// Writes the same frame as [`encode_board`], but needs only the body of the message.
 ///
-/// This saves flash on boards, because the program contains code only for the bodies that it sends.
+/// The function saves flash on boards, because the program contains code only for the bodies that it sends.
 ///
 /// # Errors
 /// [`EncodeError`] if `out` is too small; its content is then undefined.
@@ -89,7 +89,8 @@ struct FrameWriter<'b> {
     code_at: usize,
     crc: Crc32,
     /// Whether any data did not fit in the buffer.
-    /// This is checked at the end, because a check after each byte would cost the left board 1 KB of flash.
+    /// The flag is checked at the end,
+    /// because a check after each byte would cost the left board 1 KB of flash.
     full: bool,
 }
 
@@ -159,7 +160,7 @@ impl<'b> Flavor for FrameWriter<'b> {
 pub enum ParseError {
     /// A later minor version added this message. Ignore it.
     Unknown,
-    /// This is a known message with another layout, so the sender has another major version.
+    /// The message is known but has another layout, so the sender has another major version.
     Malformed,
 }
 

@@ -257,7 +257,7 @@ open_list! {
     FaultKind {
         /// The sensor does not answer; the detail is its bus address.
         SensorMissing = 0,
-        /// The sensor is not the expected one; the detail is its WHO_AM_I value.
+        /// The sensor is not the expected sensor; the detail is its WHO_AM_I value.
         SensorUnknown = 1,
         /// The board is a Rev2, which images of version 0.1.0 did not support. Later images do.
         BoardRev2 = 2,
@@ -314,7 +314,7 @@ open_list! {
         Unsteady = 5,
         /// The model's recipe, axes, rate, window or size does not fit this image.
         ModelDoesNotFit = 6,
-        /// The piece of the model is not the expected one.
+        /// The offset of the model's piece is not the expected offset.
         WrongOffset = 7,
         /// The checksum differs.
         BadChecksum = 8,

@@ -19,8 +19,8 @@ pub mod desk;
 pub mod bluez;
 
 /// Returns whether to run the tests of the image that has Bluetooth linked in.
-/// Because its build takes minutes, these tests run only in the long run,
-/// or if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image.
+/// Its build takes minutes, so these tests run only in the long run.
+/// They also run if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image.
 pub fn has_linked_image() -> bool {
     let has = is_full() || std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").is_some();
     if !has {

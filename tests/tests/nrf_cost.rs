@@ -82,7 +82,7 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         network,
         to_int8: instructions(&inputs_and_forward).0 - instructions(&forward).0,
         worst_sample: *samples[320..].iter().max().expect("samples"),
-        // The two functions run one after another, and the logits are above both on the stack.
+        // The two functions run one after another, and the logits are above their frames on the stack.
         stack: stack(&inputs_and_forward).max(stack(&softmax)) + MAX_LABELS as u64,
         awake_share,
     }
@@ -143,7 +143,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
     // Results of other implementations and of the paper, from ../shared/reference/peers.md.
-    // They apply to the network with softmax, calculated from int8 inputs.
+    // The results apply to the network with softmax, calculated from int8 inputs.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -233,7 +233,7 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
 }
 
 /// Calculates how much current the board would save if it paused the classifier at rest.
-/// This saving is the classifier's share of the processor time.
+/// The saving is the classifier's share of the processor time.
 /// The sensor must keep running, because the dead-man rule requires fresh samples.
 /// In addition, the window of a gesture starts before the gesture is detected.
 #[test]
@@ -260,7 +260,7 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
                 100.0 * saved / mah
             );
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
-            // This is the maximum saving from pausing the classifier at rest, on the board with the lowest sensor current.
+            // The test computes the maximum saving on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
         }
     }

@@ -170,8 +170,7 @@ const CLOCK_RATIO: f64 = 1.013;
 struct Resampled {
     session: RightRig,
     window: Window,
-    /// Differences between sample and row in counts, each with its tolerance.
-    /// They cover only the first six axes.
+    /// Differences between sample and row in counts, each with its tolerance, for the first six axes only.
     errors: Vec<(f64, f64)>,
 }
 
@@ -382,7 +381,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
     // The maximum error of the time of a set on the grid.
     // At these ratios, 200 and 208 Hz are 25/12, 13/6 and exactly 2 times 100 Hz.
-    // Polls then occur at only a few phases of the sensor's period, or even at only one.
+    // Polls then occur at only a few phases of the sensor's period, or even at a single phase.
     // Within that interval, the age of a set remains uncertain, equally for all samples, until the clocks drift.
     let period_ms = if kind == Kind::Nano33 { 0.0 } else { ratio * 1000.0 / sensor_hz(kind) };
     let timing_ms = TIMING_MS + period_ms;

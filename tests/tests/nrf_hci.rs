@@ -1,10 +1,11 @@
-//! Tests the image that contains Nordic's controller and the host stack `trouble`,
-//! with bumble on the other side.
+//! Tests the image that contains Nordic's controller and the host stack `trouble`.
+//! Bumble runs on the other side of the radio link.
 //! Bumble is Google's Bluetooth stack. It simulates the other controller, the radio link and the laptop.
 //! Everything above HCI is the code that users flash.
 //!
-//! Some parts are modelled and prove nothing about a real radio. These are the times at which packets pass
-//! (`src/nrf/controller/link.rs`), the time slots for flash, the data length and the PHY.
+//! Some parts are modelled and prove nothing about a real radio.
+//! The models are the times at which packets pass (`src/nrf/controller/link.rs`), the time slots for flash,
+//! the data length and the PHY.
 #![cfg(feature = "nrf")]
 
 use serde_json::{Value, json};
@@ -42,7 +43,8 @@ fn joined(interval: f64) -> RightRig {
 }
 
 /// Checks the samples that the image has taken since the tap, and returns their number.
-/// Their numbers must be consecutive, and their times (in whole ms) must fit the image's grid of 100 Hz.
+/// The samples' numbers must be consecutive,
+/// and their times (in whole ms) must fit the image's grid of 100 Hz.
 /// No sample may be missing, and none may occur twice.
 fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
     let samples = rig.board.tapped(tap);
@@ -438,8 +440,7 @@ fn random_packets_do_not_stop_it() {
     bombard(24, random_packet);
 }
 
-/// Most of these packets have a correct length,
-/// so the guard in the image (`shared_board::guard`) accepts them.
+/// Most of these packets have a correct length, so the image's guard (`shared_board::guard`) accepts them.
 /// The host stack must survive every packet that the guard accepts.
 #[test]
 fn mutated_packets_do_not_stop_it() {

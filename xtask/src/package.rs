@@ -90,8 +90,8 @@ const PARTS: [(&[&str], &str); 5] = [
 ];
 /// Crates whose licence is a separate file.
 /// We have read these licences: an archive that contains the file may contain the crate.
-/// Nordic's five-clause licence permits images for Nordic's chips to include its interface of S140
-/// and its controller.
+/// Nordic's five-clause licence applies to its interface of S140 and to its controller.
+/// This licence permits images for Nordic's chips to include them.
 const LICENCE_FILES: [(&str, &str); 3] = [
     ("nrf-softdevice-s140", "Nordic's five clauses"),
     ("nrf-sdc-sys", "Nordic's five clauses"),
@@ -265,7 +265,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     for name in PROGRAMS {
         print!("{}", output(program(name).arg("--version"))?);
     }
-    // This uses a session file, so that MCAP is tested too.
+    // The demo records a session file, so that MCAP is tested too.
     let demo = ["demo", "--headless", "--speed", "0", "--json", "--record", "demo.mcap"];
     let demo = output(program("host-bridge").args(demo))?;
     ensure!(demo.contains("\"ok\":true"), "the unpacked demo does not come out as scripted:\n{demo}");

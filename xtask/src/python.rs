@@ -36,7 +36,7 @@ pub fn environment() -> Result<PathBuf> {
 }
 
 /// Returns the interpreter for the checks of arms.
-/// They have a separate environment, because their packages contain 170 MB of meshes.
+/// The arms have a separate environment, because their packages contain 170 MB of meshes.
 ///
 /// # Errors
 /// As [`environment`].

@@ -1,5 +1,5 @@
 //! Selects the compiler for other targets.
-//! It uses rustup's compiler if that supports the target, and otherwise the compiler in Debian's packages.
+//! Uses rustup's compiler if that supports the target, and otherwise the compiler in Debian's packages.
 //!
 //! Either compiler builds the images of both boards from the same sources.
 //! Debian's `rustc-web` contains the source of the library but no compiled core, so `core` is built too.

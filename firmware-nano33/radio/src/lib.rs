@@ -7,8 +7,9 @@
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
 //! Frames form a byte stream in both directions, which is cut into pieces according to the MTU.
-//! This file contains what all Bluetooth stacks share. The feature `trouble` adds the stack that is linked into the image.
-//! This code is a separate crate, so that the compiler can optimise it for size. Hardly any of it runs often.
+//! This file contains the parts that all Bluetooth stacks share.
+//! The feature `trouble` adds the stack that is linked into the image.
+//! The code is a separate crate, so that the compiler can optimise it for size. Hardly any of it runs often.
 #![no_std]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 
@@ -20,13 +21,13 @@ use embassy_time::Duration;
 /// Maximum bytes of one notification or write: the largest MTU without its three bytes of header.
 pub const PAYLOAD: usize = 244;
 /// Connection intervals that the board requests one after another, in units of 1.25 ms.
-/// It first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
+/// The board first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
 pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);
 /// Number of connection events that the board may skip while it has nothing to send, so that the radio stays off.
-/// The board's next frame still leaves within one interval,
-/// and a laptop's frame arrives within five intervals.
+/// The board's next frame still leaves within one interval.
+/// A frame from the laptop arrives within five intervals.
 pub const LATENCY: u16 = 4;
 /// A link that is silent for this long (in units of 10 ms) is lost.
 pub const SUPERVISION: u16 = 200;

@@ -9,7 +9,7 @@
 //!
 //! Raw counts alone are not a field strength.
 //! The conversion also needs the chip's individual trimming values.
-//! It also needs the resistance of its Hall plates, which depends on the temperature.
+//! The resistance of the chip's Hall plates, which depends on the temperature, is also needed.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -197,8 +197,8 @@ impl<I: I2c> Bmm150<I> {
     }
 
     /// Returns the newest field in µT along the chip's axes.
-    /// Returns `None` if there is no new measurement,
-    /// or if the field is too strong for the chip (near a magnet).
+    /// Returns `None` if there is no new measurement, or if the field is too strong for the chip.
+    /// The field is too strong near a magnet, for example.
     ///
     /// # Errors
     /// A transfer failed.

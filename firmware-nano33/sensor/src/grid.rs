@@ -1,7 +1,7 @@
 //! Resamples a sensor that has its own clock to the 100 Hz grid of the board's crystal.
 //!
 //! The LSM9DS1's nominal 238 Hz may be wrong by some per cent and drifts with temperature.
-//! Its interrupt line is not connected on this board.
+//! The sensor's interrupt line is not connected on this board.
 //! However, each poll of the sensor's FIFO returns a known number of sets, and the newest set is less than one period old.
 //! [`Grid`] estimates the age of the newest set and advances the estimate with the board's clock.
 //! If the estimate leaves its limits, [`Grid`] corrects both the age and the estimated period.
@@ -61,7 +61,7 @@ impl Grid {
 
     /// Delay between a grid sample and its grid time.
     pub fn delay_us(&self) -> f32 {
-        // This is a tenth more than the nominal period, because the sensor may be slower than nominal.
+        // The delay is a tenth longer than the nominal period, because the sensor may be slower than nominal.
         self.nominal_us * 1.1
     }
 

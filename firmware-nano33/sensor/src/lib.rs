@@ -24,7 +24,7 @@ pub mod lsm9ds1;
 pub type Set = [i16; 6];
 
 /// Value of one count of accelerometer (m/s²), gyroscope (deg/s) and magnetometer (µT), for every supported sensor.
-/// These are the LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss.
+/// The values are the LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss.
 /// The drivers of other sensors convert their counts.
 pub const SCALE: [f32; 3] = [0.122e-3 * 9.80665, 0.07, 0.014];
 

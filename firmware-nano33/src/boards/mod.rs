@@ -3,8 +3,8 @@
 //! No other code in this crate depends on the board.
 //!
 //! Each file provides `SENSORS`, `START_MS`, `USB` and `kind` (the board's name in the protocol).
-//! It provides `parts`, which returns [`Parts`], and `begin`, which runs before all other code.
-//! It also provides `enter_bootloader`.
+//! Each file also provides `begin`, which runs before all other code, and `enter_bootloader`.
+//! The function `parts` of each file returns [`Parts`].
 
 #[cfg(not(feature = "xiao"))]
 mod nano33;

@@ -1,7 +1,8 @@
 //! Evaluates events. Joins one person's recordings, plays them to a board's right hand, and compares events with labels.
 //!
 //! The hand rests between two recordings, with the noise of a held hand.
-//! It first holds the final posture of one recording, then turns smoothly to the initial posture of the next and holds that.
+//! The hand first holds the final posture of a recording.
+//! Then it turns smoothly to the initial posture of the next recording and holds that posture.
 //! A recording counts as one performed gesture, however often it repeats the shape. Its first sample counts as the onset.
 //! People actually begin a little later, so delays are overestimated.
 
@@ -149,13 +150,13 @@ impl AnnotatedRecording {
         posture(&rows[rows.len().saturating_sub(POSTURE)..])
     }
 
-    /// Appends a rest, in which the hand turns from its current posture to the given one.
+    /// Appends a rest, in which the hand turns from its current posture to the posture `next`.
     fn rest_until(&mut self, next: &[f64], pause: Pause, rng: &mut ChaCha8Rng) {
         let turn_s = pause.turn_s;
         let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
         let before = between(pause.before_s, rng);
         let seconds = before + turn_s + between(pause.after_s, rng);
-        // Noise of a held hand, which is between that of a table and that of a tense arm.
+        // The noise of a held hand is between the noise of a table and the noise of a tense arm.
         let quiet: f64 = rng.random_range(-1.5f64..0.7).exp();
         let turn = turn_rate_deg(&last, next);
         for n in 0..(seconds * RATE_HZ) as usize {

@@ -178,7 +178,7 @@ impl Trial<'_> {
     }
 
     /// Counts the events that a model and a board's thresholds detect in all recordings of `person`.
-    /// The recordings are joined into one.
+    /// The recordings are joined to a single recording.
     pub fn events_of(
         &self,
         model: &Trained,
@@ -212,10 +212,10 @@ impl Trial<'_> {
         self.grade_of(&train(&others, &dropped, self.recipe, &Self::job(seed))?, person)
     }
 
-    /// Counts the events of a model that has learned nothing from `person`,
-    /// for each [`MovementConfig::max_rest`].
-    /// It plays all recordings of `person`, including those without a gesture, joined with this pause.
-    /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
+    /// Counts the events of a model that has learned nothing from `person`.
+    /// There is one result for each [`MovementConfig::max_rest`].
+    /// The model hears all recordings of `person`, including those without a gesture, joined with this pause.
+    /// The model also hears simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(
         &self,
         person: &str,
@@ -260,7 +260,7 @@ impl Trial<'_> {
     }
 
     /// Trains a model on 80 % of the other people's recordings.
-    /// It then adapts the model with `counts` examples per class of `person`.
+    /// The model is then adapted with `counts` examples per class of `person`.
     /// Each example lasts 2 s and is from a different recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
@@ -319,7 +319,7 @@ pub fn from_simulated(
 }
 
 /// Simulates wearers and returns their recordings as a data set without files.
-/// These wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
+/// The wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
     // Start and length in samples of two short recordings, which are taken from each gesture.

@@ -1,6 +1,6 @@
 //! A complete comparison on one folder for several seeds.
-//! It holds out each person, and then a random 20 % of the recordings.
-//! It also tests models that were shown a few examples.
+//! The study holds out each person, and then a random 20 % of the recordings.
+//! It also tests models that have been shown a few examples.
 //! `models people` prints its results, and `models report` draws the same figures.
 
 use std::collections::BTreeMap;
@@ -37,8 +37,8 @@ pub struct Row {
 
 impl Study {
     /// Runs the comparison with the seeds 1 to `seeds`.
-    /// If the recipe can adapt,
-    /// it also tests models after 0 examples and after each number of examples in `counts`.
+    /// A recipe that can adapt is also tested after 0 examples,
+    /// and after each number of examples in `counts`.
     /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,
@@ -173,9 +173,9 @@ pub struct Events {
 }
 
 impl Events {
-    /// Plays every person's recordings with models that were trained without this person,
-    /// for the seeds 1 to `seeds`.
-    /// It also plays `aimless_s` seconds of simulated wearers, divided among the models of the first seed.
+    /// Plays every person's recordings with models that were trained without this person.
+    /// The models have the seeds 1 to `seeds`.
+    /// The models of the first seed also share `aimless_s` seconds of simulated wearers.
     pub fn run(
         trial: &Trial<'_>,
         people: &[String],

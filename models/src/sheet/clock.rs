@@ -95,8 +95,7 @@ pub(super) fn spread(times: &mut [f64]) -> usize {
         let stamp = times[from];
         let run = times[from..].iter().take_while(|time| **time == stamp).count();
         if run > 1 {
-            // If no other time stamp follows, or if it follows after a gap,
-            // the samples get the normal interval.
+            // The samples get the normal interval if no other time stamp follows, or if a gap is before it.
             let room = times.get(from + run).map_or(f64::INFINITY, |next| next - stamp);
             let even = room / run as f64;
             let step = if even <= 1.5 * interval { even } else { interval };

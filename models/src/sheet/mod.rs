@@ -59,7 +59,7 @@ impl Units {
     /// Nothing is declared.
     pub const NONE: Units = Units([None; 3]);
 
-    /// Returns the factor of a sensor, if the user declared one.
+    /// Returns the factor of a sensor, if the user declared a factor.
     pub fn of(&self, sensor: Sensor) -> Option<f64> {
         self.0[sensor as usize]
     }

@@ -271,7 +271,7 @@ impl<'t, F: Format> Rows<'t, F> {
         }
     }
 
-    /// Returns the error for a time that is not later than the previous one.
+    /// Returns the error for a time that is not later than the previous time.
     pub fn time_error(&self, line: u64, time_ms: f64, before_ms: f64) -> RecordingError {
         let column = self.time_column();
         RecordingError::Time {

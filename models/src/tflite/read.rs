@@ -6,7 +6,7 @@ use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
 /// Maximum number of other operators.
-/// These are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
+/// The other operators are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
 /// The output of the last operator in a file. In either case, our own softmax computes the probabilities.
@@ -81,7 +81,8 @@ impl Tensor<'_> {
         }
     }
 
-    /// Returns the number of values of one example, which is the product of the shape's dimensions without open ones.
+    /// Returns the number of values of one example.
+    /// This number is the product of the shape's dimensions, except for open dimensions.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }

@@ -1,6 +1,7 @@
 //! Trains a network in a fixed number of steps with plain loops.
 //! The networks are so small that a library would add a hundred crates and no speed.
-//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`, and a test compares both.
+//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`.
+//! A test compares the results of the two methods.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +15,8 @@ use crate::tflite::FloatLayer;
 pub struct Steps {
     /// Minimum number of steps.
     pub count: usize,
-    /// Maximum number of steps. Between both limits, the amount of data determines the number ([`Steps::following`]).
+    /// Maximum number of steps. Between the minimum and the maximum, the amount of data determines the number
+    /// ([`Steps::following`]).
     pub most: usize,
     /// Windows per step.
     pub batch: usize,
@@ -28,7 +30,8 @@ pub struct Steps {
     pub decay: f64,
     /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
-    /// Number of networks that start from different weights and are merged into one. Recipe `aligned` defines their widths.
+    /// Number of networks that start from different weights and are merged into one network.
+    /// Recipe `aligned` defines their widths.
     pub members: usize,
     /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
@@ -93,7 +96,7 @@ impl Steps {
     }
 }
 
-/// Returns the weight of each label, so that rare labels count as much as common ones.
+/// Returns the weight of each label. With these weights, rare labels count as much as common labels.
 pub(super) fn label_weights(rows: &[(Vec<f32>, usize)], labels: usize) -> Vec<f32> {
     let mut counts = vec![0usize; labels];
     rows.iter().for_each(|(_, label)| counts[*label] += 1);
@@ -337,7 +340,8 @@ fn run(
 }
 
 /// Scales the weights into and out of each hidden unit to the same maximum (Nagel et al., 2019).
-/// This changes no output, because a unit that is twice as large and counts half gives the same result.
+/// The scaling changes no output,
+/// because a unit that is twice as large and counts half gives the same result.
 /// After that, one int8 scale per layer suits all of its units.
 pub(super) fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {

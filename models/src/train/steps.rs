@@ -3,7 +3,8 @@
 //! The result is the average of the weights over the steps.
 //! Training needs no held-out recordings, and can start from an existing network.
 //!
-//! Several networks that start differently are merged into one, whose logits are the mean of theirs.
+//! Several networks that start differently are merged into one network.
+//! The merged network's logits are the mean of its members' logits.
 //! For unknown people, the networks make different errors. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};

@@ -1,11 +1,11 @@
 //! Converts the flex readings of two fingers to bend counters and a stop flag.
 //!
 //! A finger is *bent* above [`BENT_PERMILLE`] of the range from calibrated rest to calibrated bend.
-//! It is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
+//! A finger is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once: when the other finger has been straight for [`CONFIRM_MS`],
-//! or at an earlier release.
+//! A bend is counted once. It is counted when the other finger has been straight for [`CONFIRM_MS`],
+//! or earlier, when the bent finger is released.
 //! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text

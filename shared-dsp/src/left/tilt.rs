@@ -75,7 +75,7 @@ pub struct TiltDetector {
     candidate: Heading,
     agreed: u8,
     armed: bool,
-    /// The command that may start next, if there is one.
+    /// The command that may start next, if any command may start.
     start: Option<(Heading, Start)>,
     swings: [Swing; 2],
     turned_over: u8,
@@ -178,7 +178,7 @@ impl TiltDetector {
         let (pitch, roll) = (tilt.pitch_mrad, tilt.roll_mrad);
         let (pitch_size, roll_size) = (pitch.unsigned_abs(), roll.unsigned_abs());
         let limits = self.thresholds;
-        // A running command has an advantage of (start - end) over another one.
+        // A running command has an advantage of (start - end) over another command.
         // Two tilts of almost equal size therefore do not make the base alternate between driving and turning.
         let lead = limits.start_mrad - limits.end_mrad;
         let kept = match self.heading {
@@ -206,7 +206,7 @@ impl TiltDetector {
     }
 }
 
-/// Computes √(a² + b²), rounded down. Both have at most 15 bits, so the sum of squares fits.
+/// Computes √(a² + b²), rounded down. The two numbers have at most 15 bits, so the sum of squares fits.
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
@@ -293,8 +293,7 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // If the remaining vector is short,
-                    // one unit of the rounded-down root is more than a milliradian of roll.
+                    // In a short vector, one unit of the rounded root is over a milliradian of roll.
                     // The same holds for a pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());

@@ -2,10 +2,10 @@
 //! The features describe the motion in the hand's own frame, so they do not depend on the wearer or the sensor's orientation.
 //!
 //! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz, because gestures have 0.5 to 5 Hz).
-//! They are then rotated into a frame whose first axis is the direction of gravity.
+//! The averages are then rotated into a frame whose first axis is the direction of gravity.
 //! The second axis is the horizontal direction with the most rotation.
 //! Without a gyroscope, the second axis is the horizontal direction with the most acceleration.
-//! The third axis is perpendicular to both.
+//! The third axis is perpendicular to the first and the second axis.
 //! A change of sign of either horizontal axis does not change any feature.
 //! Left and right hands, and rotated sensors, therefore give the same numbers.
 //! The magnetometer is not used, so magnetic disturbances have no effect.
@@ -14,7 +14,7 @@
 //! For each triad, e are the mean squares along each axis about its mean, and E is their sum.
 //! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the amount of movement below which differences are insignificant.
 //! X stands for lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform.
-//! This transform is taken of the 25 hops with a Hann window.
+//! The transform is computed from the 25 hops with a Hann window.
 //! S is the power of these lines, Σ|X|².
 //!
 //! | features | count |
@@ -31,8 +31,8 @@
 //! `tests/reference/aligned_ref.py` implements the same algorithm in numpy.
 //!
 //! The rotation is linear, so the code applies it last.
-//! Products and lines are computed from the unrotated channels,
-//! so only ten lines are rotated instead of 25 hops.
+//! Products and lines are computed from the unrotated channels.
+//! Only ten lines are therefore rotated, instead of 25 hops.
 //!
 //! The mean acceleration of the window is gravity. If it is below 10⁻³ m/s², its direction is undefined.
 //! In this case, all features remain finite, and the floors keep them small.
@@ -430,7 +430,7 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
 }
 
 /// Returns cosine and sine of the angle from `across` to the direction with the most power.
-/// This direction is in the plane of `across` and `along`.
+/// Only directions in the plane of `across` and `along` are considered.
 /// The power is computed about the given mean, which may be zero.
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));

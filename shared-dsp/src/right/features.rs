@@ -2,7 +2,8 @@
 //!
 //! The first five features of an axis are mean, RMS, population variance, skewness m₃/m₂^1.5 and excess kurtosis m₄/m₂² − 3.
 //! The next eight are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
-//! They are averaged over the 24 full half-overlapping frames of the window (without a window function, mean included).
+//! The powers are averaged over the 24 full half-overlapping frames of the window.
+//! There is no window function, and the mean is included.
 //! The paper does not define how 200 samples are split into frames of 16 points, so this split is our choice.
 //!
 //! | case | definition |
@@ -16,7 +17,7 @@
 //! Float sums are never updated by subtraction ([`crate::right::sliding`]).
 //! All moments are central ([`crate::right::moments`]).
 //! If 200 samples cancel, so that the mean is near 0, its error is 10⁻⁹ of the unit.
-//! This holds even for amplitudes in the hundreds.
+//! The same error applies to amplitudes in the hundreds.
 
 use crate::right::fft::{HalfFrame, powers};
 use crate::right::moments::{Block, SlidingMoments, SlidingSum};
@@ -97,8 +98,8 @@ impl<const A: usize> FeatureWindow<A> {
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // The samples are copied one by one,
-            // because the compiler would turn a copy of the array into a call.
+            // The samples are copied one by one.
+            // The compiler would turn a copy of the whole array into a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }

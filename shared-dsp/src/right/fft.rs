@@ -7,7 +7,7 @@ const R: f32 = core::f32::consts::FRAC_1_SQRT_2; // cos(2π/8)
 /// Eight samples. They are stored as the first sample and the deviations of the other seven from it.
 ///
 /// For a signal such as gravity with a little tremor, the deviations are exact and small.
-/// Their sums and products therefore lose no precision to the large constant part.
+/// Sums and products of the deviations therefore lose no precision to the large constant part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfFrame {
     /// The first sample.

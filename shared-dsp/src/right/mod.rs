@@ -25,7 +25,7 @@ use core::fmt;
 /// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model needs more values per sample than the board has, or different ones.
+    /// The model needs more values per sample than the board has, or different values.
     Axes {
         /// Axes of the model.
         model: usize,
@@ -132,7 +132,7 @@ impl<const A: usize> Pipeline<A> {
         // `RightHand::new` has compared the lengths, so this call cannot fail. If it did, the scores would remain unchanged.
         match self {
             Self::PerAxis { window, decision } => {
-                // If the hand has more axes than the model, the model reads the first ones.
+                // If the hand has more axes than the model, the model reads only the first axes.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)

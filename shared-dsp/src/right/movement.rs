@@ -45,7 +45,7 @@ pub struct MovementConfig {
     /// Minimum mean probability.
     pub min_confidence: u8,
     /// Maximum mean probability of all rest labels together.
-    /// It is certain that there is a gesture before it is certain which gesture it is.
+    /// It is often certain that the hand makes a gesture before it is certain which gesture it makes.
     pub max_rest: u8,
     /// A movement is long if it has had no event after this many hops.
     pub late_hops: u8,

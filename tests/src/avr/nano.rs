@@ -5,8 +5,8 @@
 //! simavr differs from the chip in several ways.
 //! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
 //! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
-//! This module corrects two errors of simavr: it sleeps even if SMCR.SE is clear,
-//! and a watchdog in interrupt mode never resets a program that has disabled interrupts.
+//! This module corrects two errors of simavr. The first is that it sleeps even if SMCR.SE is clear.
+//! The second is that an interrupting watchdog never resets a program that has disabled interrupts.
 
 mod callbacks;
 
@@ -291,7 +291,7 @@ impl Nano {
         queue.drain(..count).map(|(_, byte)| byte).collect()
     }
 
-    /// Sends bytes to the board without pauses, after all earlier ones.
+    /// Sends bytes to the board without pauses, after all earlier bytes.
     pub fn send(&mut self, bytes: &[u8]) {
         let mut queue = self.wires.to_receive.borrow_mut();
         let was_empty = queue.is_empty();
@@ -340,7 +340,7 @@ impl Nano {
         self.pass_optiboot();
     }
 
-    /// Writes bytes to the start of the old bootloader, so that the program detects one.
+    /// Writes bytes to the start of the old bootloader, so that the program detects an old bootloader.
     pub fn pretend_old_bootloader(&mut self) {
         const OLD_BOOTLOADER: usize = 0x7800;
         // Safety: the write is within the 32 KB of flash.

@@ -19,8 +19,8 @@ pub enum Parts {
     /// Sensors are drawn uniformly from the complete range of the tolerances.
     /// The neutral pose is within 10° of level.
     Drawn,
-    /// The worst case, in which every tilt looks largest: the sensitivity is 10 % too high,
-    /// and neutral is 10° off level.
+    /// The worst case, in which every tilt looks largest.
+    /// The sensitivity is 10 % too high, and neutral is 10° off level.
     Loudest,
 }
 

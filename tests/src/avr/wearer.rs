@@ -1,7 +1,7 @@
 //! A hand with its sensors: converts poses and bends over time to voltages at five pins.
 //!
 //! The tolerances are from the data sheets. An ADXL335 has an offset of ±0.15 V (x, y) or ±0.3 V (z).
-//! Its sensitivity is 270 to 330 mV/g. Both values apply at 3.0 V and are ratiometric.
+//! The sensitivity is 270 to 330 mV/g. Offset and sensitivity apply at 3.0 V and are ratiometric.
 //! The bandwidth is 50 Hz and the noise is 300 µg/√Hz.
 //! Flex sensors have 10 kΩ ± 30 % when flat, and two to three times as much when bent.
 
@@ -217,7 +217,7 @@ impl Wearer {
         let (shaken_pitch, shaken_roll) = self.tremor.as_ref().map_or((0.0, 0.0), |tremor| tremor.at(t));
         let hand = self.hand.borrow();
         let (pitch, roll) = (hand.pitch.at(t) + shaken_pitch, hand.roll.at(t) + shaken_roll);
-        // The larger tilt is the intended one.
+        // The larger of the two tilts is the intended tilt.
         // The larger tilt is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
         if pitch.abs() >= roll.abs() {
             rolled(pitched(self.neutral_up, pitch), roll)

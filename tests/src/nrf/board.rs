@@ -61,8 +61,9 @@ struct World {
     /// Number of cycles spent on instructions, now and when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
-    /// and [`ANSWERED`] if the emulator executes the function itself.
+    /// Number of instructions of the block that starts at each half-word of flash.
+    /// The value is 0 if the block has not run.
+    /// The value is [`ANSWERED`] if the emulator executes the function itself.
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
@@ -295,8 +296,7 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // This is the state after the stock bootloader:
-            // the bootloader's vector table is active, and the converter and the cache are on.
+            // The stock bootloader leaves its vector table active, and leaves the converter and the cache on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
             // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.

@@ -19,8 +19,8 @@ pub enum Variant {
 }
 
 /// Returns the image of a variant, built by `cargo xtask firmware nano33`.
-/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF`
-/// and `BIMANUAL_XIAO_ELF` select other images.
+/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and
+/// `BIMANUAL_XIAO_ELF` select other images.
 /// `cargo xtask test` uses them to select images that are already built.
 ///
 /// # Panics

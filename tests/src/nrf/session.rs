@@ -47,7 +47,7 @@ pub struct Heard {
     pub faults: Vec<Fault>,
     /// Replies to requests.
     pub acks: Vec<Ack>,
-    /// Raw samples: the number of the first one, and the counts.
+    /// Raw samples: the number of the first sample, and the counts.
     pub raw: Vec<(u32, Vec<i16>)>,
     /// The board's newest description of its hardware.
     pub about: Option<About>,

@@ -1,6 +1,6 @@
 //! Tests the complete path from both emulated boards to a robot on ROS 2.
-//! The path consists of the flashed images behind pseudo-terminals, the program, DDS, and a robot
-//! on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
+//! The path consists of the flashed images behind pseudo-terminals, the program, and DDS.
+//! It ends at a robot on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
 //! `cargo xtask test --only "ROS 2"` runs this test and sets BIMANUAL_ROS2_PYTHON.
 //!
 //! DDS and the robot use wall-clock time; boards and program share a time that is never faster.

@@ -274,7 +274,7 @@ fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Returns the matrix of tilt directions and commands, if the test printed one.
+/// Returns the matrix of tilt directions and commands, if the test printed a matrix.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();

@@ -1,7 +1,8 @@
 //! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
 //! Pairing uses LE Secure Connections, "just works".
-//! It protects against listeners, but not against an attacker nearby who answers in place of the laptop.
+//! "Just works" protects against listeners,
+//! but not against an attacker nearby who answers in place of the laptop.
 //! Any laptop may bond while no bond exists, and for [`PAIRING`] after each start.
 //! Later, only laptops whose keys are stored are trusted.
 
@@ -46,7 +47,7 @@ impl Bonds {
         self.0.borrow().iter().find(|bond| bond.key == key).copied()
     }
 
-    /// Stores a new laptop, or the changed keys of a known one.
+    /// Stores a new laptop, or the changed keys of a known laptop.
     pub fn keep(&self, bond: Bond) {
         self.0.borrow_mut().keep(bond);
         // The newest bond is the most important one.

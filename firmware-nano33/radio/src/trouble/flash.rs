@@ -2,9 +2,9 @@
 //! Between radio events, mpsl grants a time slot in which we may use the flash controller.
 //!
 //! A page is erased in pieces of 10 ms.
-//! If the radio grants no slot, the request is repeated with a higher priority,
-//! and the link may then miss one event.
-//! This does no harm, because the supervision timeout is two hundred times as long as a piece.
+//! If the radio grants no slot, the request is repeated with a higher priority.
+//! The link may then miss one event.
+//! Such a miss is harmless, because the supervision timeout is two hundred times as long as a piece.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::mutex::Mutex;
@@ -46,7 +46,7 @@ impl SlotFlash {
         Self
     }
 
-    /// Sets a page to all ones.
+    /// Erases a page, which sets all its bits to one.
     ///
     /// # Errors
     /// Fails if the radio gave no slot for a quarter of a second.

@@ -212,7 +212,7 @@ impl Visit {
     /// Sends frames in pieces.
     async fn send(&self) {
         // Set if the beginning of a frame was sent but its end was not.
-        // The next frame must then not be mistaken for the end of this one.
+        // The end of this frame is then missing, and the next frame must not be mistaken for it.
         let mut torn = false;
         loop {
             let frame = poll_fn(|context| self.outbox.poll_next(context)).await;
@@ -263,8 +263,8 @@ impl Visit {
         }
     }
 
-    /// Requests long packets and the faster radio mode. Then requests one connection interval after another,
-    /// until the laptop accepts one or keeps its own.
+    /// Requests long packets and the faster radio mode.
+    /// Then requests one connection interval after another, until the laptop accepts one or keeps its own.
     async fn negotiate(&self, stack: &'static Stack) {
         let raw = self.link.raw();
         let _ = with_timeout(ANSWER, raw.update_data_length(stack, LONG_PACKET.0, LONG_PACKET.1)).await;

@@ -1,7 +1,8 @@
 //! Bluetooth that is linked into the image, so that the board keeps its original bootloader.
 //! Nordic's controller is a library (`nrf-sdc`, `nrf-mpsl`), and the host stack `trouble` runs above it.
 //!
-//! These libraries use RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, the clocks, ECB, CCM, AAR and PPI channels 17 to 31.
+//! The two libraries use RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, ECB, CCM, AAR and the clocks.
+//! They also use the PPI channels 17 to 31.
 
 mod bonds;
 mod flash;
@@ -58,9 +59,9 @@ bind_interrupts!(struct Irqs {
 type Controller = guard::Guarded<SoftdeviceController<'static>>;
 type Stack = trouble_host::Stack<'static, Controller, DefaultPacketPool>;
 
-/// One laptop, no channels of our own, and one advertisement.
-/// There is room for one more key than the board stores,
-/// because a new laptop pairs before an old one is forgotten.
+/// The stack has room for one laptop, no channels of our own, and one advertisement.
+/// A new laptop pairs before an old laptop is forgotten.
+/// The stack therefore has room for one more key than the board stores.
 type Resources = HostResources<DefaultPacketPool, 1, 1, 1, { REMEMBERED + 1 }>;
 
 /// Number of packets that the controller buffers for a link: packets to the laptop, and packets from it.
@@ -68,8 +69,8 @@ const PACKETS: (u8, u8) = (4, 3);
 /// Size of the largest packet on the air without its header, which is four bytes more than the largest MTU.
 const PACKET: u16 = PAYLOAD as u16 + 7;
 /// Memory that the controller needs according to the formulas of its `sdc.h`, rounded up to 100 bytes.
-/// It contains a link with those buffers, the part that all links share,
-/// an advertiser with 31 bytes, and a list of eight addresses.
+/// This memory contains a link with those buffers and the part that all links share.
+/// It also contains an advertiser with 31 bytes, and a list of eight addresses.
 const CONTROLLER_BYTES: usize =
     (923 + 7 * (PACKET as usize + 15) - 2 * 42 + 17 + 574 + 68).next_multiple_of(100);
 

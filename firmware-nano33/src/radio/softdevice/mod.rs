@@ -32,7 +32,7 @@ use nano33_radio::{
 };
 
 /// Number of notifications that the SoftDevice queues.
-/// One is enough for a state every 80 ms, but raw batches and answers need more.
+/// A state every 80 ms needs only one notification, but raw batches and answers need more.
 const QUEUE: u8 = 8;
 /// If a laptop has written nothing for this long, the board requests its interval again.
 /// S140 needs an authenticated packet every 480 s, and the answer to this request is such a packet.
@@ -273,8 +273,8 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         }
     };
     let send = async {
-        // This is set after only the first part of a frame was sent,
-        // so that the laptop does not join it with the next frame.
+        // This is set if only the first part of a frame was sent.
+        // The laptop must not join that part with the next frame.
         let mut torn = false;
         loop {
             let frame = outbox.next().await;

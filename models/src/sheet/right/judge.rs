@@ -27,7 +27,7 @@ const WILDEST: f32 = 2.5;
 /// Real recordings have values of 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
 /// Minimum mean if the unit seems to be g. The same minimum applies relative to the deviation.
-/// It is stricter, because movement without gravity has a similar magnitude in m/s².
+/// The minimum is stricter for g, because movement without gravity has a similar magnitude in m/s².
 /// Of 426 real recordings in g, one is below this value.
 /// Two thirds of the recordings of linear acceleration are below it.
 const LEAST_MEAN_IN_G: f32 = 0.4;
@@ -38,8 +38,8 @@ pub(super) const HEAVIEST: f32 = 3.2;
 /// Range of the ratio between the deviations of turn rate and acceleration (in m/s²) if the turn rate is in rad/s.
 /// Below this range, the hand does not rotate, or the gyroscope is defective.
 const TURNS: std::ops::Range<f32> = 0.02..1.6;
-/// If the hand moves less than this (in m/s²), rotation proves nothing,
-/// for example when a hand rests in a car.
+/// If the hand moves less than this (in m/s²), rotation proves nothing.
+/// For example, a hand may rest in a car.
 const MOVES: f32 = 2.0;
 
 /// What acceleration looks like.

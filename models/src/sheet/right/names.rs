@@ -85,7 +85,7 @@ pub(super) struct Named {
     pub kind: Kind,
     /// 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// Factor to our unit, if the name declares one.
+    /// Factor to our unit, if the name declares a unit.
     pub factor: Option<f64>,
     /// Factor that names like this one usually imply, if it differs from ours.
     pub usual: Option<f64>,

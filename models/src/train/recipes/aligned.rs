@@ -1,6 +1,6 @@
 //! Recipe `aligned`, for people who are not in the training data.
 //!
-//! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]).
+//! The recipe uses features in the hand's own frame ([`shared_dsp::right::aligned`]).
 //! Windows are varied to simulate other hands.
 //! The recipe adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
 
@@ -40,7 +40,7 @@ pub struct Aligned {
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
     /// Real people whose daily movement also provides examples of `other`.
-    /// They are used only with `bystanders`.
+    /// The daily movement is used only together with `bystanders`.
     pub daily: Daily,
 }
 
@@ -145,7 +145,7 @@ impl Recipe for Aligned {
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
-    /// Varied windows are more extreme than real ones, so they would waste a part of the int8 range.
+    /// Varied windows are more extreme than real windows, so they would waste a part of the int8 range.
     fn calibration(&self) -> Calibration {
         Calibration::Real
     }

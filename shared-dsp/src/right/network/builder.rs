@@ -67,9 +67,9 @@ pub struct BlobSpec {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// Sizes contradict each other or exceed a maximum. The text describes which ones.
+    /// Sizes contradict each other or exceed a maximum. The text describes these sizes.
     Shape(String),
-    /// A number cannot be represented. The text describes which one.
+    /// A number cannot be represented. The text describes this number.
     Value(String),
     /// The finished blob cannot be parsed.
     Parse(ModelError),

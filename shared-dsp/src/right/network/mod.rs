@@ -29,10 +29,12 @@
 //! | | text | labels in order, separated by commas; printable ASCII, padded with zeros |
 //!
 //! Each layer starts with a header of 12 bytes.
-//! The header contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
-//! minimum output i8, and 0.
+//! The header contains the inputs (u16), the outputs (u16) and the multiplier (i32 in 2³⁰..2³¹).
+//! After these, it contains the right shift (u8 in 1..=62), the output zero point (i8),
+//! the minimum output (i8), and 0.
 //! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self).
-//! This order is four columns of rows 0, 1, 2 and 3, then the next four columns of these rows.
+//! The weights of rows 0, 1, 2 and 3 for the first four columns come first,
+//! then those for the next four columns.
 //! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
@@ -403,8 +405,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    // This is a separate function, so that the code that fills the inputs exists only once.
-    // Its stack is free again before the layers run.
+    // The code that fills the inputs is in a separate function, so that it exists only once.
+    // The stack of this function is free again before the layers run.
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];

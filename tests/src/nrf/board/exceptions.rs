@@ -8,7 +8,8 @@ const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
 /// Value of CONTROL with an active floating-point unit: FPCA and SFPA.
-/// Without SFPA, unicorn (in which all code is secure) starts a new context at the next floating-point instruction
+/// Unicorn treats all code as secure.
+/// Without SFPA, it therefore starts a new context at the next floating-point instruction
 /// and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
@@ -51,7 +52,7 @@ impl Board {
         let mut table = self.soc().nvic.vector_table;
         if self.boot == Boot::SoftDevice && table == 0 {
             // The MBR owns the table at 0.
-            // It forwards exceptions to S140, and S140 forwards them to the application.
+            // The MBR forwards exceptions to S140, and S140 forwards them to the application.
             table = APPLICATION;
             self.spend(FORWARD_CYCLES);
             let soc = self.soc();

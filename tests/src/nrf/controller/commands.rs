@@ -6,8 +6,8 @@
 pub(super) enum Who {
     /// Bumble's controller answers.
     Bumble,
-    /// The emulator answers,
-    /// because bumble's controller does not know the command or answers for another chip.
+    /// The emulator answers.
+    /// Bumble's controller does not know the command, or would answer for another chip.
     Here,
 }
 

@@ -39,7 +39,7 @@ pub(super) struct Link {
     pub(super) up: VecDeque<Vec<u8>>,
     /// Packets and events that arrive for the board over the air.
     pub(super) down: VecDeque<Vec<u8>>,
-    /// Number of connection events so far, and the number of missed ones.
+    /// Number of connection events so far, and number of missed connection events.
     pub(super) events: u64,
     pub(super) missed: u64,
 }
@@ -65,8 +65,7 @@ impl Link {
         link
     }
 
-    /// Sets the interval (in units of 1.25 ms),
-    /// the latency (in events) and the supervision time-out (in 10 ms).
+    /// Sets the interval (in 1.25 ms), the latency (in events) and the supervision time-out (in 10 ms).
     pub(super) fn set(&mut self, [interval, latency, supervision]: [u16; 3]) {
         self.interval = u64::from(interval) * UNIT;
         self.latency = latency;

@@ -1,17 +1,17 @@
 //! Emulates Nordic's SoftDevice Controller and MPSL for the image that contains its own host stack.
 //!
 //! The linked image contains both libraries. The emulator finds their functions by their symbols.
-//! It answers the calls itself and does not execute the libraries' code.
+//! The emulator answers the calls itself and does not execute the libraries' code.
 //! HCI packets go to a controller of bumble in another process (`air.rs`).
 //! Everything above HCI is the code that users flash.
-//! Nordic's own code runs in `sdc_init`, `sdc_cfg_set` and `sdc_support_*`,
-//! which only compute the required memory.
+//! Nordic's own code runs only in `sdc_init`, `sdc_cfg_set` and `sdc_support_*`.
+//! These functions only compute the required memory.
 //! An image that provides too little memory therefore does not start here, either.
 //!
 //! Some parts are our own models and prove nothing about Nordic's code.
-//! These are time slots, clocks, `sdc_enable`, `sdc_rand_*`, and the timing of the link (`link.rs`).
-//! They also include everything that bumble's controller lacks:
-//! data length, PHY, RSSI, resolving list and buffers.
+//! These parts are time slots, clocks, `sdc_enable`, `sdc_rand_*`, and the timing of the link (`link.rs`).
+//! Bumble's controller also lacks data length, PHY, RSSI, resolving list and buffers,
+//! so these are our models too.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -102,7 +102,7 @@ pub struct Controller {
     /// Number of bytes that reached the board over the air, and number of bytes that left it.
     pub passed: [u64; 2],
     /// Number of connection events, and number of those that the board missed.
-    /// It misses an event if the laptop is out of range or if it writes to flash.
+    /// The board misses an event if the laptop is out of range or while it writes to flash.
     pub events: [u64; 2],
     /// Number of calls so far, by name of the function.
     pub calls: BTreeMap<String, u64>,
@@ -356,8 +356,8 @@ impl Controller {
             }
             [EVENT, DISCONNECTED, ..] => {
                 if let Some(link) = self.link.take() {
-                    // The board hears packets
-                    // that were already on their way before it hears of the disconnection.
+                    // Some packets were already on their way.
+                    // The board hears these packets before it hears of the disconnection.
                     self.to_host.extend(link.down);
                 }
                 self.sent = 0;

@@ -36,7 +36,7 @@ pub enum Happening {
     /// The link ended for one of the reasons in [`super::abi::reason`].
     Disconnected(u8),
     /// The board requested an interval within this range, in units of 1.25 ms.
-    /// It also requested this latency, and a supervision timeout in units of 10 ms.
+    /// The board also requested this latency, and a supervision timeout in units of 10 ms.
     AskedFor {
         /// Shortest interval.
         min: u16,

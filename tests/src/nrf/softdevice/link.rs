@@ -339,7 +339,7 @@ impl SoftDevice {
                 Command::Pair { bond } => {
                     self.link.as_mut().expect("a link").pairing_asked = Some(bond);
                     // The laptop has no input and no output, and its keys have 7 to 16 bytes.
-                    // It distributes encryption and identity keys in both directions.
+                    // The laptop distributes encryption and identity keys in both directions.
                     let flags = u8::from(bond) | 3 << 4;
                     let request =
                         SocEvent::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);

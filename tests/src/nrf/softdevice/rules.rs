@@ -48,8 +48,8 @@ pub const FORWARD_CYCLES: u64 = 40;
 /// Time that S140 takes from the core in a connection event.
 /// The values are typical ones from the SoftDevice specification
 /// (in "BLE peripheral connection processor usage patterns").
-/// They are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end,
-/// and 40 per packet at priority 4.
+/// The times are 40 us for preparation, 18 us at the start, 30 us after a packet and 90 us at the end.
+/// At priority 4, each packet takes another 40 us.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }
