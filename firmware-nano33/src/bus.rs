@@ -66,7 +66,7 @@ impl SensorBus {
         Timer::after(Duration::from_millis(boards::START_MS - 10)).await;
     }
 
-    /// Frees a bus on which a device drives SDA low, with up to nine clock pulses and a stop condition.
+    /// If a device drives SDA low, frees the bus with up to nine clock pulses and a stop condition.
     /// Returns whether the bus was stuck. Afterwards both lines are high unless the fault persists.
     pub async fn clear(&mut self) -> bool {
         let mut sda = Flex::new(self.sda.reborrow());

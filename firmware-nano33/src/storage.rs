@@ -108,7 +108,8 @@ fn stored(offset: usize, len: usize) -> &'static [u8] {
 }
 
 fn mapped(start: u32, len: usize) -> &'static [u8] {
-    // SAFETY: this is memory-mapped flash that the linker does not use. It changes only through `Flash`.
+    // SAFETY: this is memory-mapped flash that the linker does not use.
+    // The flash changes only through `Flash`.
     // A `ModelStore` keeps no reference while it writes, and never writes to the slot of the running model.
     // The same holds for a `BondLog`.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }

@@ -200,7 +200,7 @@ impl Recording {
         Self::new(self.axes, time_ms, values)
     }
 
-    /// Replaces each sample with the mean of the samples within half of `span_ms`.
+    /// Replaces each sample with the mean of all samples that are at most half of `span_ms` away.
     fn averaged_over(&self, span_ms: f64) -> Vec<f32> {
         let mut values = Vec::with_capacity(self.values.len());
         let (mut from, mut to) = (0, 0);

@@ -95,12 +95,13 @@ impl Laptops {
         self.iter().next().is_none()
     }
 
-    /// Stores a laptop as the newest. It replaces the laptop's earlier bond, or the oldest bond if there is no room.
+    /// Stores a laptop as the newest bond.
+    /// The bond replaces the laptop's earlier bond, or the oldest bond if there is no room.
     pub fn keep(&mut self, bond: Bond) {
         let same = self.0.iter().position(|kept| kept.is_some_and(|kept| kept.is_of_same_laptop(&bond)));
         let free = self.0.iter().position(Option::is_none);
         let place = same.or(free).unwrap_or(0);
-        // The bonds after the removed one move up, so that blank places remain at the end.
+        // The bonds after the removed bond move up, so that blank places remain at the end.
         let used = free.unwrap_or(REMEMBERED);
         let end = if same.is_none() && free.is_some() { used + 1 } else { used };
         self.0[place..end].rotate_left(1);

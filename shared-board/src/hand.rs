@@ -91,7 +91,8 @@ pub struct SampledHand<'m, R, const A: usize> {
 }
 
 impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
-    /// `scale` is the physical value of one count in m/s², deg/s and µT. It converts the samples, or is used in record mode.
+    /// `scale` is the physical value of one count in m/s², deg/s and µT.
+    /// The scale converts samples in counts. For other samples, it is used only in record mode.
     pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
         Self { hand, scale, readings: PhantomData }
     }

@@ -31,9 +31,10 @@ pub use signal::Signal;
 pub(crate) use table::largest;
 pub use table::{BoardBody, Boards, Row};
 
-/// This number increases when the layout of a message changes. Both sides must have the same number.
+/// The major version increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
-/// This number increases when a message is added. The older side ignores messages that it does not know.
+/// The minor version increases when a message is added.
+/// The older side ignores messages that it does not know.
 pub const PROTOCOL_MINOR: u8 = 4;
 
 board_messages! {
@@ -153,9 +154,9 @@ pub struct LeftState {
     pub roll_mrad: i16,
     /// The debounced heading that follows from the tilt.
     pub heading: Heading,
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index_bends: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -170,7 +171,7 @@ pub struct RightState<'a> {
     pub sequence: u16,
     /// Time of the window's newest sample on the board's clock, which wraps after 49 days.
     pub board_time_ms: u32,
-    /// Number of gestures performed since start, which wraps.
+    /// Number of gestures that were performed since the start. The number wraps.
     pub events: u8,
     /// Index of the last event's gesture in the model's labels; 255 before the first event.
     pub label: u8,

@@ -64,7 +64,7 @@ fn mutate(rng: &mut Rng, stream: &mut Vec<u8>, donor: &[u8]) {
         7 => {
             stream.drain(..at);
         }
-        // Inserts a part of the stream again at another place.
+        // Inserts a copy of a part of the stream at another place.
         8 => {
             let copy = stream[part(rng, stream.len())].to_vec();
             stream.splice(at..at, copy);

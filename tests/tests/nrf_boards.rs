@@ -150,7 +150,8 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
     assert!(session.board.in_bootloader, "its bootloader feeds the watchdog");
 }
 
-/// Tests the divider of 1 MΩ and 510 kΩ. If its lower end is not low, the pin gets the battery's voltage.
+/// Tests the divider of 1 MΩ and 510 kΩ.
+/// If the divider's lower end is not low, the pin gets the battery's voltage.
 #[test]
 fn the_xiao_measures_its_battery() {
     for (battery_mv, later_mv) in [(3300.0, None), (4150.0, Some(3950.0))] {

@@ -142,7 +142,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // Results of other implementations and of the paper, from ../shared/reference/peers.md.
+    // The results of other implementations and of the paper are from ../shared/reference/peers.md.
     // The results apply to the network with softmax, calculated from int8 inputs.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");

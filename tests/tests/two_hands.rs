@@ -376,7 +376,7 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
 }
 
 /// The noise of a cable. Of the bytes from a board, `damaged` parts per thousand are damaged.
-/// In `disturbed` parts per thousand of all milliseconds, additional bytes appear.
+/// The cable adds bytes in `disturbed` parts per thousand of all milliseconds.
 /// The lines to the boards are always half full of noise.
 fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
     Box::new(move |_, bytes| {

@@ -1,7 +1,7 @@
 //! `cargo xtask test` runs every check. `--quick` runs only those for daily work, and `--full` runs the long versions.
 //!
 //! The first steps detect common mistakes: format, and clippy for our own crates.
-//! If one of these fails, the run ends within three minutes.
+//! If one of these steps fails, the run ends within three minutes.
 //! The next steps check everything other than Rust, and build and run the demo as a new user does.
 //! After these, everything is built: the laptop programs and, in parallel, the firmware images.
 //! Finally, tests with the wall clock run one by one.

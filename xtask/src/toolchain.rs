@@ -37,7 +37,7 @@ impl Target {
         }
     }
 
-    /// Returns the parts of the library to build, if no compiled ones exist for the target.
+    /// Returns the parts of the library to build, if no compiled parts exist for the target.
     fn library(self) -> &'static str {
         match self {
             Target::Avr | Target::Thumb => "-Zbuild-std=core",

@@ -1,4 +1,4 @@
-//! Bluetooth of the boards with an nRF52840: one service of our own, which notifies the laptop and accepts writes.
+//! Bluetooth for boards with an nRF52840. Its only service notifies the laptop and accepts writes.
 //!
 //! | | UUID |
 //! |---|---|

@@ -71,7 +71,7 @@ const SETTLING_SETS: u8 = 10;
 const NO_VALUE: i16 = i16::MIN;
 
 /// Conversion factors in units of 1/65536.
-/// They convert ±4 g per 2^15 counts to 0.122 mg, and ±2000 deg/s per 2^15 counts to 70 mdps.
+/// The factors convert ±4 g per 2^15 counts to 0.122 mg, and ±2000 deg/s per 2^15 counts to 70 mdps.
 const ACCEL: i64 = (65_536.0 * (4000.0 / 32_768.0) / 0.122 + 0.5) as i64;
 const GYRO: i64 = (65_536.0 * (2000.0 / 32_768.0) / 0.07 + 0.5) as i64;
 

@@ -1,4 +1,5 @@
-//! LSM9DS1: the accelerometer and gyroscope are on one die and the magnetometer is on the other (ST DocID025715 Rev 2).
+//! LSM9DS1 (ST DocID025715 Rev 2): accelerometer and gyroscope are on one die,
+//! and the magnetometer is on another die.
 //!
 //! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do.
 //! Models and recordings can therefore be exchanged.

@@ -354,7 +354,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
         let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());
         let classify = |features: &[f32]| {
             let mut scores = [i8::MIN; MAX_LABELS];
-            // The number of features equals that of the model.
+            // The number of features equals the number that the model reads.
             let _ = model.classify_features(features, &mut scores[..info.label_count]);
             scores
         };

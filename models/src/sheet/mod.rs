@@ -8,7 +8,7 @@
 //! Columns are found by their names in any order, with any separator and decimal sign.
 //! Anything that neither a name nor [`Reading`] declares is inferred.
 //! The resulting rate determines the unit of times. Gravity and rotation determine the units of samples (`right/judge.rs`).
-//! An inference is either printed (import, [`Reading::guess`]) or put to the user as a question in an error.
+//! An inference is either printed (import, [`Reading::guess`]), or an error asks the user about it.
 
 mod clock;
 mod error;

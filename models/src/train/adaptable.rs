@@ -71,7 +71,7 @@ pub enum AdaptError {
 }
 
 impl Adaptable {
-    /// Reads the files of a model. The float network and the memory must be beside it.
+    /// Reads the files of a model. The float network and the memory must be in the same folder.
     ///
     /// # Errors
     /// [`AdaptError`] if a file is missing, damaged or unsuitable.

@@ -239,7 +239,7 @@ impl Fitting {
     }
 
     /// Adds the gradients for a batch, given the gradient of the loss with respect to the outputs.
-    /// If requested, it also stores the gradient with respect to the batch in `to_inputs`.
+    /// If requested, the method also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
         for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {

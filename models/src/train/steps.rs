@@ -51,7 +51,8 @@ pub(super) fn fit(
     Ok(layers)
 }
 
-/// Returns one network whose logits are the mean of those of several networks. All must have the same shape.
+/// Returns one network whose logits are the mean of the logits of several networks.
+/// All networks must have the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {

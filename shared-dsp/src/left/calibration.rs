@@ -19,7 +19,7 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Nominal values for an ADXL335 at half the reference.
+    /// Nominal values for an ADXL335 whose outputs are at half the reference when nothing accelerates it.
     /// The flex sensor has 10 kΩ, is in series with 22 kΩ, and doubles its resistance when bent.
     ///
     /// These values suffice for a good sensor. Real parts differ by ±0.5 g and ±30 %, so calibrate.

@@ -18,7 +18,7 @@ pub const STUCK_MS: u32 = 1000;
 pub const SILENT_MS: u32 = 100;
 /// A fault ends this long after its cause has disappeared.
 pub const CLEAR_MS: u32 = 200;
-/// If a channel's fault returns within this time after its end, it persists.
+/// A fault of a channel persists if it returns within this time after its end.
 pub const RETURN_MS: u32 = 10_000;
 /// Maximum change of a flex reading that the next sample may undo: 32 of 1024.
 /// No finger moves that fast, but mains hum on an open pin does, because its period is about two samples.

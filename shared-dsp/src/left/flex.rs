@@ -139,9 +139,9 @@ enum Phase {
 /// The counters of bends, and the stop flag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bends {
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,

@@ -62,9 +62,9 @@ pub struct LeftOutput {
     /// The debounced heading: `Neutral` (halt) during a fault, `Between` during a calibration step.
     /// After a fault, a calibration step, a start or new thresholds, the hand must first be neutral before any command.
     pub heading: Heading,
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index_bends: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,

@@ -1,7 +1,7 @@
 //! Decides whether a tilt is intended, because walking or shaking a hand also tilts it.
 //!
-//! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like 15°.
 //! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like a tilt of 15°.
+//! However, only an intended tilt persists.
 //! A command therefore starts when the hand comes to rest beyond the threshold.
 //! A command also starts when the tilt is clearly beyond the threshold for longer than a swing lasts.
 //! No command starts while the hand swings to and fro.

@@ -120,7 +120,8 @@ impl TiltDetector {
     }
 
     /// Processes a sample in which gravity is on the palm's side.
-    /// The first such sample counts as a jolt. From the second on, the hand is turned over and its tilts are ignored.
+    /// The first such sample counts as a jolt.
+    /// From the second such sample on, the hand counts as turned over, and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
         if samples >= DEBOUNCE_SAMPLES {

@@ -223,7 +223,7 @@ impl<const A: usize> AlignedWindow<A> {
         self.is_full()
     }
 
-    /// The [`feature_count`] features at the last complete hop; zeros until the window is full.
+    /// Returns the [`feature_count`] features at the last complete hop. They are 0 until the window is full.
     pub fn features(&self) -> &[f32] {
         &self.features[..feature_count(A)]
     }
@@ -302,7 +302,7 @@ impl<const A: usize> AlignedWindow<A> {
         let acceleration = self.triad(0);
         let length = square_root(dot(acceleration.mean, acceleration.mean));
         let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // The second axis is the one with the most rotation.
+        // The second axis is the horizontal direction with the most rotation.
         // The mean rotation counts too, because a hand may turn in only one direction.
         let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
         let (cosine, sine) = match &rotation {

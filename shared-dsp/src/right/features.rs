@@ -131,7 +131,7 @@ impl<const A: usize> FeatureWindow<A> {
         self.is_full()
     }
 
-    /// The features at the last complete hop. They are meaningless until the window is full.
+    /// Returns the features at the last complete hop. The features are meaningless until the window is full.
     pub fn features(&self) -> &[[f32; FEATURES_PER_AXIS]; A] {
         &self.features
     }

@@ -63,11 +63,11 @@ pub struct RightOutput {
     /// Time of the window's newest sample, as given to [`RightHand::push`].
     pub window_end_ms: u32,
     /// Whether the window is full.
-    /// After a start or a gap, it is not full, and the scores are from before the gap.
+    /// After a start or a gap, the window is not full, and the scores are from before the gap.
     pub full: bool,
     /// Whether the window or the slow window contains values that replaced NaN.
     pub replaced: bool,
-    /// Number of gestures performed since start, which wraps.
+    /// Number of gestures that were performed since the start. The number wraps.
     pub events: u8,
     /// Whether this hop caused an event.
     pub is_event: bool,

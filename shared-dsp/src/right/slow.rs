@@ -3,7 +3,7 @@
 //! Pairs of consecutive samples are averaged, and a second [`AlignedWindow`] receives the means.
 //! In this window, the hand seems to move at twice its tempo, and the same network classifies it.
 //! The network has learned gestures at various tempos, some of them slower and some faster than normal.
-//! In a two-second window of an accelerometer, for example, a left-right of 0.45 Hz is hard to distinguish from swaying.
+//! In a two-second window of an accelerometer, a left-right of 0.45 Hz is hard to distinguish from swaying.
 //! In the slow window, the same movement appears as 0.9 Hz.
 //! (The accelerations stay the same, but a real gesture at twice the tempo has four times the acceleration.
 //! The difference hardly matters, because most features are ratios.)

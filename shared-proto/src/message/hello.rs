@@ -25,7 +25,7 @@ open_list! {
 }
 
 impl Board {
-    /// Returns the hand that uses this kind of board, if it is known.
+    /// Returns the hand that uses this kind of board, if the kind is known.
     pub const fn hand(self) -> Option<Hand> {
         match self {
             Self::LeftNano | Self::LeftReplay => Some(Hand::Left),

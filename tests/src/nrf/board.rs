@@ -166,7 +166,7 @@ pub struct Board {
     /// Causes of all resets since power-up (RESETREAS).
     pub resets: Vec<u32>,
     /// Whether the simulated bootloader is active. It accepts an upload until the board is reset.
-    /// Like the stock bootloader, this one never feeds a watchdog.
+    /// Like the stock bootloader, this bootloader never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }

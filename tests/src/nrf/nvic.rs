@@ -177,7 +177,7 @@ impl Nvic {
         }
     }
 
-    /// Writes a register of the System Control Space, a byte or a word.
+    /// Writes a byte or a word to a register of the System Control Space.
     pub fn write(&mut self, offset: u32, value: u32, size: u32) {
         let place = |at: u32| if at == 0 { u64::from(value) } else { u64::from(value) << 32 };
         match offset {

@@ -142,7 +142,7 @@ impl<C: Chip> Sensor for C {
 pub mod tests {
     use super::*;
 
-    /// Reads consecutive registers, from a given one on.
+    /// Reads consecutive registers, starting at a given register.
     pub fn get<const N: usize>(chip: &mut impl Chip, register: u8, now: u64) -> [u8; N] {
         Sensor::write(chip, 0, &[register], now);
         let mut bytes = [0; N];

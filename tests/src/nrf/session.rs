@@ -20,7 +20,7 @@ pub struct Right {
     pub sequence: u16,
     /// Time of the window's newest sample on the board's clock.
     pub board_time_ms: u32,
-    /// Number of gestures since the start, which wraps.
+    /// Number of gestures since the start. The number wraps.
     pub events: u8,
     /// Index of the last event's gesture; 255 before the first event.
     pub label: u8,

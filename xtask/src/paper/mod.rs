@@ -1,6 +1,7 @@
 //! `cargo xtask paper`: compares the paper's results with our measurements row by row, and gives the command for each.
 //!
-//! Tests print the rows as `paper: WHAT | PAPER | HERE`. For the rows about recognition, this command trains models itself.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`.
+//! For the rows about recognition, this command trains models itself.
 //! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;

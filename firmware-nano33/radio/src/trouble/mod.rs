@@ -74,7 +74,7 @@ const PACKET: u16 = PAYLOAD as u16 + 7;
 const CONTROLLER_BYTES: usize =
     (923 + 7 * (PACKET as usize + 15) - 2 * 42 + 17 + 574 + 68).next_multiple_of(100);
 
-/// The peripherals of the chip that the radio uses.
+/// The peripherals that the radio uses on this chip.
 pub struct Parts {
     /// Timers and clocks.
     pub timing: Timing<'static>,

@@ -69,7 +69,7 @@ pub(super) enum Kind {
     GForce,
     /// Acceleration including gravity.
     Acceleration,
-    /// Acceleration whose name says that gravity was removed.
+    /// Acceleration in a column whose name says that gravity was removed.
     Linear,
     /// Gravity alone.
     Gravity,

@@ -59,7 +59,7 @@ pub struct BlobSpec {
     /// (a, b) for each feature: input = round(a · feature + b). This is applied after the recipe.
     /// To standardise and quantise, set a = 1 / (deviation · input scale) and b = zero point − mean · a.
     pub scaling: Vec<(f32, f32)>,
-    /// The layers in order. A softmax, which uses the last layer's output scale, follows them.
+    /// The layers in order. After them, a softmax uses the output scale of the last layer.
     pub layers: Vec<DenseSpec>,
 }
 

@@ -38,8 +38,8 @@
 //! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
-//! The header's multiplier is then 0, and the maximum output i8 replaces the shift.
-//! After the weights, four multipliers i32 and four shifts u8 follow for every four outputs.
+//! The header's multiplier is then 0, and the maximum output (i8) replaces the shift.
+//! After the weights, four multipliers (i32) and four shifts (u8) follow for every four outputs.
 
 #[cfg(feature = "build")]
 mod builder;
@@ -135,7 +135,7 @@ struct Dense<'a> {
     blocks: &'a [u8],
     /// Scales of the rows if each row has its own; otherwise empty.
     row_scales: &'a [u8],
-    /// 1 if each row has its own scale, 0 if all rows share one.
+    /// 1 if each row has its own scale, 0 if all rows share a scale.
     per_row: u8,
 }
 
@@ -333,7 +333,8 @@ impl<'a> Model<'a> {
         ((a * value + b + 128.5) as i32).clamp(0, 255) - 128
     }
 
-    /// Converts int8 inputs to int8 scores, one per label: (score + 128) / 256 is the probability. It uses no floats.
+    /// Converts int8 inputs to int8 scores, one per label, without floats.
+    /// The probability is (score + 128) / 256.
     ///
     /// # Errors
     /// Fails if the number of inputs or scores differs from the model's.

@@ -20,7 +20,7 @@ const LONGEST_EVENT: u64 = us(7500);
 const OVERHEAD: u64 = 14;
 /// Time between two packets.
 const SPACE: u64 = us(150);
-/// Time that the radio needs before the first packet and after the last one.
+/// Time that the radio needs before the first packet and after the last packet.
 pub(super) const RAMPS: u64 = us(500);
 
 /// The radio's view of a connection.
@@ -85,7 +85,7 @@ impl Link {
         on_air + packets * SPACE
     }
 
-    /// Performs a connection event. Returns the packets that pass up from the board and down to it.
+    /// Performs a connection event. Returns the packets that pass from the board and to the board.
     /// The board sleeps through the event if its latency allows this and it has nothing to send.
     pub(super) fn event(&mut self, is_missed: bool) -> (Vec<Vec<u8>>, Vec<Vec<u8>>) {
         let at = self.next_event;

@@ -10,8 +10,8 @@
 //!
 //! Some parts are our own models and prove nothing about Nordic's code.
 //! These parts are time slots, clocks, `sdc_enable`, `sdc_rand_*`, and the timing of the link (`link.rs`).
-//! Bumble's controller also lacks data length, PHY, RSSI, resolving list and buffers,
-//! so these are our models too.
+//! Bumble's controller lacks data length, PHY, RSSI, resolving list and buffers.
+//! We therefore model these as well.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -112,7 +112,7 @@ pub struct Controller {
 
 impl Controller {
     /// Creates the libraries of one board, whose number is 0 or 1.
-    /// Their functions are at these symbols, and `air` is the process that simulates the radio.
+    /// The libraries' functions are at these symbols, and `air` is the process that simulates the radio.
     pub fn new(symbols: &BTreeMap<String, u32>, air: Arc<Mutex<Air>>, index: u8) -> Self {
         let answered =
             |name: &str| ["sdc_", "mpsl_", "MPSL_IRQ_"].iter().any(|start| name.starts_with(start));

@@ -1,5 +1,5 @@
 //! Models the time slots between radio events, in which the image writes flash.
-//! This model is our own and not Nordic's.
+//! The model is our own and not Nordic's.
 
 use super::super::time::us;
 use super::link::{Link, RAMPS};

@@ -1,6 +1,7 @@
 //! Simulates a laptop's Bluetooth, which finds the board, connects, pairs, subscribes, writes, and records events.
 //!
-//! Tests add [`Command`]s, which the laptop executes in order during connection events, and read [`Happening`]s.
+//! Tests add [`Command`]s, which the laptop executes in order during connection events.
+//! The laptop records [`Happening`]s, which the tests read.
 
 use std::collections::VecDeque;
 

@@ -1,6 +1,6 @@
 //! Models Nordic's SoftDevice S140 7.x, with the calls that the image uses, and a connected laptop.
 //!
-//! S140 is below the image in flash, owns the vector table at 0 and the radio, and is called by SVC.
+//! S140 is below the image in flash. It owns the radio and the vector table at 0, and is called by SVC.
 //! Here, the calls run outside the emulated core.
 //! They read arguments from the image's memory, return results, and raise events.
 //! The image fetches these events after interrupt 22 (SWI2).

@@ -1,4 +1,4 @@
-//! The rules that S140 sets for applications, and its use of RAM and time.
+//! The rules that applications must follow with S140, and the RAM and time that S140 uses.
 
 use std::collections::BTreeMap;
 
