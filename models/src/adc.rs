@@ -111,7 +111,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// Returns CSV text with 10-bit conversions, or with eighths of them if there are any.
+    /// Returns CSV text with 10-bit conversions. If a value is not a whole number, the text contains eighths.
     pub fn to_csv(&self) -> String {
         let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {

@@ -149,7 +149,7 @@ fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
     rig.send(&HostMessage::HelloRequest);
     rig.hold(LEVEL, 20);
     assert_eq!(rig.line.hellos(), boot_ids);
-    // Only the other board accepts messages about models.
+    // Only the right board accepts messages about models.
     rig.send(&HostMessage::ModelCommit { request: 3, crc32: 0 });
     assert!(rig.line.acks().is_empty());
 }

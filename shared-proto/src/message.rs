@@ -1,4 +1,4 @@
-//! All messages of the wire, in one table for each direction.
+//! All messages on the wire, in one table for each direction.
 //!
 //! A row is `number Name fields => boards, minor version that added it`.
 //! The macro derives everything else about a message from its row: the place in the enum, the buffer sizes in

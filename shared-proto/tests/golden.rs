@@ -283,7 +283,7 @@ fn wire_md_shows_the_true_bytes() {
     }
     let rows = page.lines().filter(|line| line.starts_with("| `")).count();
     assert_eq!(rows, BoardMessage::ROWS.len() + HostMessage::ROWS.len(), "WIRE.md has a row of no message");
-    // The second byte of a frame is the message's number, unless that is 0.
+    // The second byte of a frame is the message's number, unless this number is 0.
     for (number, message) in host_messages().iter().enumerate().skip(1) {
         assert_eq!(usize::from(host_frame(message)[1]), number);
     }

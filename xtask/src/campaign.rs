@@ -174,7 +174,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
         // Builds only one crate, so that nothing else is built in release mode.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
-        // This is the workspace with the features of its tests, so that nothing is compiled again.
+        // The whole workspace is tested with the features of its tests, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);

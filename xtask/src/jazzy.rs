@@ -1,5 +1,6 @@
 //! Installs ROS 2 Jazzy's own client library and middleware in a virtual environment.
-//! Tests use it for a robot that is independent of the program. All files are below `target/ros2-jazzy`.
+//! Tests use ROS 2 Jazzy for a robot that is independent of the program.
+//! All files are below `target/ros2-jazzy`.
 
 use std::fmt::Write as _;
 use std::fs;

@@ -79,7 +79,7 @@ impl Grid {
         }
     }
 
-    /// Must be called after all sets up to this time were [pushed](Self::push).
+    /// Call this after all sets up to this time were [pushed](Self::push).
     pub fn synchronise(&mut self, poll_us: u64) {
         let elapsed_us = poll_us.saturating_sub(self.last_poll_us) as f32;
         let sets = core::mem::take(&mut self.since_poll) as f32;

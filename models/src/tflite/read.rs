@@ -34,7 +34,7 @@ struct Tensor<'a> {
 }
 
 impl Tensor<'_> {
-    /// Returns the only scale and zero point of a tensor of activations.
+    /// Returns the scale and the zero point of a tensor of activations. There must be only one of each.
     fn quantisation(&self, what: &str) -> Result<(f32, i64), TfliteError> {
         match (self.scales.as_slice(), self.zero_points.as_slice()) {
             (&[scale], &[zero]) if scale.is_finite() && scale > 0.0 => Ok((scale, zero)),

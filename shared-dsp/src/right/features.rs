@@ -1,7 +1,7 @@
 //! Computes thirteen features per axis of a sliding window, once per hop.
 //!
 //! The first five features of an axis are mean, RMS, population variance, skewness m₃/m₂^1.5 and excess kurtosis m₄/m₂² − 3.
-//! The next eight are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
+//! The next eight features are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
 //! The powers are averaged over the 24 full half-overlapping frames of the window.
 //! There is no window function, and the mean is included.
 //! The paper does not define how 200 samples are split into frames of 16 points, so this split is our choice.

@@ -71,7 +71,7 @@ pub struct RightOutput {
     pub events: u8,
     /// Whether this hop caused an event.
     pub is_event: bool,
-    /// Label of the last event; 255 before the first.
+    /// Label of the last event; 255 before the first event.
     pub label: u8,
     /// Confidence of the last event, 0 to 255.
     pub confidence: u8,

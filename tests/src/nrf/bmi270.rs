@@ -75,7 +75,7 @@ impl Bmi270 {
         self.register(0x21) & 0xF == 1 && self.register(0x02) & 1 == 0
     }
 
-    /// Returns `None` if a sensor is off, or if both have different rates.
+    /// Returns `None` if a sensor is off, or if the two sensors do not have the same rate.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x40) & 0xF, self.register(0x42) & 0xF) {
             (8, 8) => 100.0,

@@ -273,7 +273,7 @@ impl Soc {
         memory.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    // P0's registers start at 0x500 of the page, and P1's at 0x800.
+    // Within the page, P0's registers start at 0x500, and P1's registers start at 0x800.
     fn is_p1(offset: u32) -> bool {
         matches!(offset, 0x804..=0x824 | 0xA00..=0xA7C)
     }

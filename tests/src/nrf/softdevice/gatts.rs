@@ -5,7 +5,7 @@ use super::abi::{Answer, SocEvent, bytes, call, error, event, put, u8_at, u16_at
 use super::link::HANDLE;
 use super::{SoftDevice, central::Happening};
 
-/// Handles up to this one belong to S140's own services (GAP and GATT).
+/// All handles up to this number belong to S140's own services (GAP and GATT).
 const OWN_HANDLES: u16 = 13;
 /// Approximate size of S140's own services in the table, in bytes.
 const OWN_BYTES: u32 = 200;
