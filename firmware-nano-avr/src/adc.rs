@@ -1,7 +1,8 @@
-//! Reads five analog channels after each clock tick. The converter's interrupt sums eight conversions of each.
+//! Reads five analog channels after each clock tick.
+//! The converter's interrupt sums eight conversions of each channel.
 //!
 //! Before it reads a channel, the converter measures ground once, which empties its sampling capacitor.
-//! Without this, an open channel would repeat its neighbour's voltage.
+//! Without this measurement, an open channel would repeat its neighbour's voltage.
 //! With this measurement, an open channel reads near 0, which counts as a fault.
 //!
 //! The reference is always AREF, which is wired to 3.3 V.

@@ -75,7 +75,8 @@ impl Load {
 }
 
 const PAINT: u32 = 0x57AC_57AC;
-/// Used stack may contain a few words equal to the pattern, so only a run of this many words counts as never used.
+/// The used stack may contain a few words that equal the pattern.
+/// Only a run of this many words therefore counts as never used.
 const RUN: usize = 64;
 static LEAST_FREE: AtomicU32 = AtomicU32::new(u32::MAX);
 

@@ -29,7 +29,7 @@ pub struct SensorPins {
 /// The bus runs at 390 kHz. At the nominal 400 kHz, its low period is shorter than I2C allows (nRF52840 erratum 219).
 const FREQUENCY: u32 = 0x0620_0000;
 
-/// The I2C bus inside the module, which is not the one on the board's header.
+/// The I2C bus inside the module, which is not the bus on the board's header.
 pub struct SensorBus {
     twim: Peri<'static, TWISPI0>,
     sda: Peri<'static, AnyPin>,

@@ -20,7 +20,7 @@ const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
 /// Mean intervals that can be converted, and the corresponding rates.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
 const USABLE_HZ: (f64, f64) = (50.0, 500.0);
-/// Converter resolutions that the reader infers from the values, if it has this many samples.
+/// Converter resolutions in bits that the reader infers from the values. It needs at least `ENOUGH` samples.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
@@ -139,7 +139,8 @@ fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
 }
 
 /// Infers the resolution of the converter in bits.
-/// Straight fingers read two thirds of the range. Most values are below its end, but not all are below the middle.
+/// Straight fingers read two thirds of the range.
+/// Most values are below the end of the range, but not all are below its middle.
 /// Few samples, or samples with eighths, count as 10 bits.
 fn bits(samples: &[LeftRow]) -> u32 {
     let mut all: Vec<f64> = samples.iter().flat_map(|row| row.conversions).collect();

@@ -1,6 +1,6 @@
 //! Converts a model's files to the blob that boards and bridge run.
 //!
-//! The blob depends only on `.tflite` and card, and its CRC-32 is the model id on the wire.
+//! The blob depends only on the `.tflite` file and the card, and its CRC-32 is the model id on the wire.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! The card: a JSON file beside a model that describes the model, its training data and its accuracy.
+//! The card is a JSON file beside a model. It describes the model, its training data and its accuracy.
 //!
 //! `NAME.tflite` (int8) and `NAME.float.tflite` share the card `NAME.card.json`. The README lists its fields.
 

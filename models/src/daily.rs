@@ -22,7 +22,7 @@ use crate::recording::Recording;
 use crate::windows::{aligned_features, prepare, slowed};
 use crate::{HOP, WINDOW};
 
-/// The source of the vectors. Their licence requires it in a model's card.
+/// The source of the vectors. Their licence requires that a model's card names the source.
 pub const SOURCE: &str = "features of daily movement without a gesture, as other, from: Dataset of inertial measurements of \
      smartphones and smartwatches for human activity recognition, M. Matey-Sanz, S. Casteleyn, C. Granell, Data in Brief \
      2023, 109809, doi 10.5281/zenodo.8398688, CC BY 4.0 (changed: smartwatches of 12 people, features only)";
@@ -180,7 +180,8 @@ impl Vectors {
     }
 }
 
-/// Returns a file of vectors. They are computed from recordings with a gyroscope of people who make no gesture.
+/// Returns a file of vectors. They are computed from recordings of people who make no gesture.
+/// The recordings must contain a gyroscope.
 pub fn vectors(recordings: &Dataset) -> Vec<u8> {
     let people = recordings.people();
     let windows = |recording: &Recording, stride: usize| -> Vec<Vec<f32>> {

@@ -7,7 +7,7 @@
 //!
 //! Glossary: a *recording* is one file, with samples of one person who makes one gesture.
 //! A *window* is [`WINDOW`] samples at [`RATE_HZ`]. A *label* is the standard name of a gesture.
-//! A *card* is a JSON file beside a model, which describes the model.
+//! A *card* is a JSON file that is stored beside a model and describes the model.
 
 pub mod adc;
 pub mod blob;

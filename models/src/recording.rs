@@ -1,4 +1,4 @@
-//! A recording of the right hand. This file reads, checks and resamples it, and writes its CSV file.
+//! A recording of the right hand. This module reads, checks and resamples recordings, and writes CSV files.
 //!
 //! The output format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ` (m/s²).
 //! Optional columns are `gyrX,gyrY,gyrZ` (deg/s) and `magX,magY,magZ` (µT); times are in ms.

@@ -18,8 +18,9 @@ pub struct Prepared {
 
 /// Returns a recording at the models' rate that is at least one window long.
 ///
-/// A shorter one is extended periodically until the window is full, with the period that best matches its end.
-/// (If it were mirrored in time, a circle would change its direction.)
+/// A shorter recording is extended periodically until the window is full.
+/// The period is the one that best matches the end of the recording.
+/// (If the recording were mirrored in time, a circle would change its direction.)
 pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     let at_rate = recording.resampled();
     let resampled = at_rate.len() != recording.len() || !at_rate.samples().eq(recording.samples());

@@ -16,7 +16,7 @@ use crate::models::MappedFlash;
 use crate::slots::is_newer;
 use shared_dsp::right::network::crc32;
 
-/// Maximum number of stored laptops. A new one replaces the laptop that bonded longest ago.
+/// Maximum number of stored laptops. A new laptop replaces the laptop that bonded longest ago.
 pub const REMEMBERED: usize = 4;
 /// Number of flash pages that a log occupies.
 pub const PAGES: usize = 2;

@@ -87,7 +87,8 @@ fn is_att(content: &[u8], length: usize) -> bool {
     }
 }
 
-/// Returns whether a laptop refuses something or answers a request for other connection parameters.
+/// Returns whether this packet is a laptop's refusal,
+/// or its answer to a request for other connection parameters.
 fn is_signal(content: &[u8], length: usize) -> bool {
     let [code, _, l0, l1, ..] = *content else { return false };
     let says = usize::from(u16::from_le_bytes([l0, l1]));

@@ -19,7 +19,7 @@
 //! These programs differ only in where samples come from and where frames go.
 //!
 //! This code never waits, reads a clock or accesses a register.
-//! All times are on the board's own clock, in milliseconds since start, which wraps after 49 days.
+//! All times are on the board's own clock, which counts milliseconds since the start and wraps after 49 days.
 //!
 //! # A left board in ten lines
 //! ```

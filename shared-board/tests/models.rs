@@ -256,7 +256,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// A board that had a model still has one after any number of power cuts, at any word and bit.
+    /// A board that had a model still has a model after any number of power cuts, at any word and bit.
     #[test]
     fn a_board_that_had_a_model_has_one_after_any_number_of_power_cuts(
         cuts in prop::collection::vec((1u32..80, any::<u32>()), 1..12),

@@ -375,7 +375,7 @@ fn wall_clock() -> Vec<Step> {
     ];
     if is_full() {
         // This takes minutes to build, and no other step uses Zenoh.
-        // The dependencies that it shares with other steps have other features there.
+        // The dependencies that Zenoh shares with other steps need other features there.
         steps.push(Step::new("ROS 2 over Zenoh", || {
             let python = python::environment()?;
             let ours = ["-p", "host-ros2", "-p", "host-bridge", "--features"];

@@ -1,6 +1,6 @@
 //! Replaces `nrf52840-pac`. It has only the items that nrf-softdevice 0.1.0 uses, and no interrupt table.
 //!
-//! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new one (`nrf-pac`).
+//! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new crate (`nrf-pac`).
 //! Each register crate defines a table `__INTERRUPTS`.
 //! Two tables either fail to link or, worse, link silently without the handlers of one crate.
 //! With this replacement, the image contains only embassy-nrf's table.

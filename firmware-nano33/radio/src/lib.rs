@@ -35,7 +35,7 @@ pub const SUPERVISION: u16 = 200;
 pub const ADVERTISING: u32 = 48;
 /// A laptop that has not bonded within this time is disconnected, because it occupies the board's only link.
 pub const STRANGER: Duration = Duration::from_secs(10);
-/// For this long after a start, a laptop may bond even if another one is bonded.
+/// For this long after a start, a laptop may bond even if another laptop is bonded.
 pub const PAIRING: Duration = Duration::from_secs(120);
 /// Name of the board in Bluetooth advertisements.
 pub const NAME: &str = "bimanual-right";

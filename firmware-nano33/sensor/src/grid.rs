@@ -142,7 +142,7 @@ mod tests {
     extern crate std;
 
     /// Returns the worst error for a simulated sensor that outputs a ramp.
-    /// The sensor's clock is wrong by `ratio`, and it is polled every 10 ms with jitter.
+    /// The sensor's clock is wrong by `ratio`, and the sensor is polled every 10 ms with jitter.
     fn worst_error_us(ratio: f64, jitter_us: u64) -> f64 {
         let mut grid = Grid::new(238.0);
         let period = 1e6 / 238.0 * ratio;

@@ -8,7 +8,7 @@
 //!   The drivers use asynchronous I2C of embedded-hal-async. [`found`] detects the sensor on the bus.
 //! * [`grid`] estimates the time of each set and interpolates the sets to the 100 Hz grid.
 //! * [`Imu`] is the trait that all drivers implement.
-//!   All drivers return the same units and axes, so one model fits all.
+//!   All drivers return the same units and axes, so one model works with all sensors.
 #![no_std]
 
 pub mod bmi270;
@@ -36,7 +36,7 @@ pub const FIFO_SETS: usize = 32;
 pub struct Batch {
     sets: [Set; FIFO_SETS],
     len: usize,
-    /// True if the sensor's FIFO was full, so that sets before the first one in this batch were lost.
+    /// True if the sensor's FIFO was full, so that sets before the first set in this batch were lost.
     pub overrun: bool,
     /// The newest counts of the magnetometer, or zeros if the sensor has six axes.
     pub magnetometer: [i16; 3],
@@ -81,7 +81,7 @@ pub enum ImuError {
     Unknown(u8),
     /// A transfer to this I2C address failed.
     Bus(u8),
-    /// The settings of the sensor at this I2C address differ from those written.
+    /// The settings of the sensor at this I2C address differ from the settings that were written.
     /// Either a write was lost, or a drop of the supply voltage reset the sensor.
     Reset(u8),
 }

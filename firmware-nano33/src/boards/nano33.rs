@@ -90,7 +90,8 @@ pub fn begin() {
 ///
 /// The bootloader never feeds a watchdog, and a soft reset does not stop a watchdog.
 /// An upload of 6 s would therefore end after 2 s.
-/// The watchdog therefore performs the reset, which stops it. The mark of a double press keeps the bootloader running.
+/// The watchdog therefore performs the reset, which also stops the watchdog.
+/// The mark of a double press keeps the bootloader running.
 #[cfg(not(feature = "ble"))]
 pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESS: *mut u32 = 0x2000_7FFC as _;

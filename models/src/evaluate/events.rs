@@ -51,7 +51,8 @@ fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
     if low < high { rng.random_range(low..high) } else { low }
 }
 
-/// For this long after its end, a recording can still have an event, because a decision may wait for the hand to rest.
+/// A recording can cause an event for this long after its end,
+/// because a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
 /// The position of a recording in a joined recording. The sample with index `end` is not included.

@@ -144,7 +144,8 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Reads recordings for learning and for joining. Whatever labels are tested, it includes recordings without gestures.
+    /// Reads recordings for learning and for joining.
+    /// Recordings without gestures are included, whatever labels are tested.
     fn read_with_rest(
         &self,
         axes: Option<usize>,
@@ -204,7 +205,8 @@ impl Trial<'_> {
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
-    /// Trains a model on a fraction `share` of the other people's recordings, and tests it on those of `person`.
+    /// Trains a model on a fraction `share` of the other people's recordings.
+    /// Tests this model on the recordings of `person`.
     /// For each label, the seed determines which recordings are used.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;

@@ -110,7 +110,7 @@ pub struct Reading {
     /// Names for columns.
     pub columns: Option<Columns>,
     /// Whether the reader accepts inferences and reports them in the notes.
-    /// Otherwise, it accepts only declared properties, and any doubt is an error.
+    /// Otherwise, the reader accepts only declared properties, and any doubt is an error.
     pub guess: bool,
 }
 

@@ -407,7 +407,8 @@ impl Periodic {
         let speed_m_s = wearer.speed_m_s * normal(rng, 0.1, 0.25).exp();
         let half_m = match shape {
             Shape::Stroke | Shape::Circle => speed_m_s / (TAU * hz),
-            // The peak speed on a side (minimum jerk) is 1.875 lengths per duration, and a turn has four sides.
+            // The peak speed on a side (minimum jerk) is 1.875 times the mean speed,
+            // and a turn has four sides.
             Shape::Rectangle => 0.5 * speed_m_s * (1.0 - wearer.corner) / (1.875 * 4.0 * hz),
         }
         .min(0.35);

@@ -52,7 +52,7 @@ pub struct Wearer {
     pub(super) tilt_rad: [f64; 3],
     /// Rotation of the plane of circles away from the vertical plane, about y and about z.
     pub(super) circle_rad: [f64; 2],
-    /// Relative size of the movement perpendicular to the intended one.
+    /// Size of the movement perpendicular to the intended movement, relative to the intended movement.
     pub(super) slop: f64,
     /// Relative variation of size and tempo.
     pub(super) wander: f64,

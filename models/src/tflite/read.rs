@@ -150,7 +150,7 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     for (index, operator) in operators.iter().enumerate() {
         let code_index = usize::try_from(operator.i32(0, 0)?).map_err(|_| TfliteError::Damaged)?;
         let code = codes.get(code_index).ok_or(TfliteError::Damaged)?;
-        // Old files have only the field of type byte, and new files have both fields.
+        // Old files have only the field of type byte. New files also have the field of type int32.
         let number = code.i32(3, 0)?.max(i32::from(code.i8(0, 0)?));
         let name = || -> Result<String, TfliteError> { Ok(names::operator(number, code.text(1)?)) };
         let inputs = operator.i32s(1)?;

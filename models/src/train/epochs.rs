@@ -69,7 +69,8 @@ impl Rows {
             counts[*label] += 1;
         }
         let present = counts.iter().filter(|count| **count > 0).count().max(1);
-        // Rare labels get a larger weight. It grows only with the square root, because rare labels are also noisier.
+        // Rare labels get a larger weight.
+        // The weight grows only with the square root, because rare labels are also noisier.
         let weight =
             |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
         let width = set.first().map_or(0, |(input, _)| input.len());

@@ -108,7 +108,7 @@ const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
 
 /// Trains an existing network on rows of inputs and their labels.
-/// Rare labels count as much as common ones, and `limit` is the largest input.
+/// Rare labels count as much as common labels, and `limit` is the largest input.
 pub(super) fn refit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -184,7 +184,7 @@ struct Fitting {
     /// Weights from one input to all outputs, one input after the other.
     weights: Changing,
     biases: Changing,
-    /// The weights in the form in which they were used, which is rounded if rounding is on.
+    /// The weights as the batch used them. They are rounded if rounding is on.
     used: Vec<f32>,
     /// For each row of the batch: 1 if the gradient passes.
     passes: Vec<f32>,

@@ -26,7 +26,8 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Trains a network on labelled inputs. Rare labels count as much as common ones, and `limit` is the maximum input.
+/// Trains a network on labelled inputs.
+/// Rare labels count as much as common labels, and `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,

@@ -168,7 +168,7 @@ const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC)
 /// A calibration as it is stored, with version, generation and checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// A counter of written records, which wraps. If both slots are valid, the newer one is used.
+    /// Counter of written records. The counter wraps. If both slots are valid, the newer record is used.
     pub generation: u8,
     /// The stored calibration.
     pub calibration: Calibration,
@@ -217,7 +217,7 @@ pub enum Stored {
     Blank,
     /// At least one slot was written, but neither is valid.
     Damaged,
-    /// There is a valid record; if both slots are valid, the newer one counts.
+    /// There is a valid record. If both slots are valid, this is the newer record.
     Good {
         /// The record.
         record: Record,

@@ -27,7 +27,7 @@ const MOST_RETURN: u16 = 32 * OVERSAMPLING;
 /// The ADXL335 gives 143 to 881 at ±3.6 g, and a flex sensor of 7 to 110 kΩ over 22 kΩ gives 170 to 776.
 const RAIL: u16 = 40 * OVERSAMPLING;
 /// A hand at rest measures 1 g.
-/// A sensitivity error of 10 % and a neutral pose 10° off level change this to between 0.7 and 1.3 g.
+/// With a sensitivity error of 10 % and a neutral pose 10° off level, the result is between 0.7 and 1.3 g.
 const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
 /// See [`LEAST_GRAVITY`]. A moving hand may exceed this limit, but for less than 200 ms.
 const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;

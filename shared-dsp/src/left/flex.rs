@@ -4,8 +4,8 @@
 //! A finger is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once. It is counted when the other finger has been straight for [`CONFIRM_MS`],
-//! or earlier, when the bent finger is released.
+//! A bend is counted once. It is counted when the other finger has been straight for [`CONFIRM_MS`].
+//! If the bent finger is released earlier, the bend is counted at the release.
 //! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text
@@ -363,7 +363,8 @@ mod tests {
         hand.hold(900, 0, 80);
         hand.hold(900, 900, 200);
         assert_eq!(hand.hold(0, 0, 100), (0, 0, false));
-        // The fingers close more slowly, but the second one is already moving while the first is bent.
+        // The fingers close more slowly,
+        // but the second finger is already moving while the first finger is bent.
         hand.hold(900, 0, 60);
         hand.hold(900, 350, 300);
         hand.hold(900, 900, 200);

@@ -40,7 +40,7 @@ impl AdcCounts {
     /// The largest reading.
     pub const MAX: u16 = 1023 * OVERSAMPLING;
 
-    /// Converts plain 10-bit conversions (x, y, z, index, middle) from a recording, and clamps larger ones.
+    /// Converts plain 10-bit conversions (x, y, z, index, middle) from a recording, and clamps larger values.
     pub fn from_ten_bit(conversions: [u16; 5]) -> Self {
         let [x, y, z, index, middle] = conversions.map(|c| c.min(1023) * OVERSAMPLING);
         Self { x, y, z, index, middle }
@@ -167,7 +167,7 @@ impl LeftHand {
     }
 
     /// Begins a calibration step.
-    /// Until the step ends, the hand gives no motion and no bends. After that, it must be neutral.
+    /// Until the step ends, the hand gives no motion and no bends. After the step, the hand must be neutral.
     ///
     /// Returns false, and changes nothing, if another step is in progress.
     pub fn start_capture(&mut self, step: CaptureStep) -> bool {

@@ -7,7 +7,7 @@
 //! No command starts while the hand swings to and fro.
 //!
 //! When a person walks, the hand is pushed by ±0.35 g twice per second.
-//! If its pose is 5° off level, this looks like a tilt of up to 24°.
+//! If the pose of the hand is 5° off level, this looks like a tilt of up to 24°.
 //! At the turning points of the swing, the hand stays within 1.2° for 68 ms. The tilt never exceeds 25°.
 //! A hand that is shaken four times per second changes direction every 125 ms.
 
@@ -21,7 +21,7 @@ pub const CLEAR_MRAD: u16 = 175;
 pub const CLEAR_SAMPLES: u8 = 10;
 /// Any tilt starts a command after this number of samples, unless it is decreasing: 130 ms.
 pub const HELD_SAMPLES: u8 = 14;
-/// If a tilt decreases by more than this, its direction has changed, in milliradians: 6°.
+/// A decrease of the tilt by more than this is a change of direction, in milliradians: 6°.
 pub const TURN_MRAD: u16 = 105;
 /// Two changes of direction belong to one swing if they are at most this far apart:
 /// 320 ms, which is half a period of 1.6 Hz.

@@ -27,7 +27,7 @@
 //! Each triad also has the feature ½·ln(tremor + floor) + 1.5.
 //! Here, tremor is the square root of the mean variance within a hop, and the floors are 0.01 g and 2 deg/s.
 //! The next features are ln(√e + f) + 1 for each triad and axis, and finally 2·(|gravity| − 1 g).
-//! An accelerometer therefore has 45 features. With a gyroscope, there are 89.
+//! An accelerometer therefore has 45 features. With a gyroscope, there are 89 features.
 //! `tests/reference/aligned_ref.py` implements the same algorithm in numpy.
 //!
 //! The rotation is linear, so the code applies it last.
@@ -183,7 +183,7 @@ impl<const A: usize> AlignedWindow<A> {
     /// Adds a sample (m/s², deg/s).
     /// Returns true if a hop is complete and the window is full.
     /// [`Self::features`] then returns new features.
-    /// NaN values are replaced with the last valid ones, and magnitudes are limited to [`SAMPLE_LIMIT`].
+    /// NaN values are replaced with the last valid values, and magnitudes are limited to [`SAMPLE_LIMIT`].
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         for (channel, value) in self.stage.iter_mut().zip(&sample[..A.min(Self::USED)]) {
@@ -350,7 +350,7 @@ impl<const A: usize> AlignedWindow<A> {
         let x = series[MIDDLE];
         let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
 
-        // Even lines of the transform. No hop is 13 to 15 hops from the middle.
+        // These are the even lines of the transform. No hop is 13 to 15 hops from the middle.
         let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
         let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
         let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
@@ -366,7 +366,7 @@ impl<const A: usize> AlignedWindow<A> {
         lines[7] = (plus + e4 - q2, h1 - h3);
         lines[9] = (minus - rp - t, u - (rg - f4));
 
-        // Odd lines of the transform, from hops at odd and at even distances.
+        // These are the odd lines of the transform, from hops at odd and at even distances.
         let [_, a1, _, a3, _, a5, _, a7] = COSINES;
         let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
         let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
@@ -435,7 +435,7 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));
     let difference = (dot(across, triad.times(across)) + a * a) - (dot(along, turned) + b * b);
-    // The angle follows from tan 2θ = 2·product / difference; this half-angle formula is the one without cancellation.
+    // The angle follows from tan 2θ = 2·product / difference. This half-angle formula avoids cancellation.
     let twice = 2.0 * (dot(across, turned) + a * b);
     let length = square_root(difference * difference + twice * twice);
     if length < 1e-12 {

@@ -112,7 +112,7 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        // The moments of axis i turn at hop −i, and its powers turn half a round later.
+        // The moments' window of axis i turns at hop −i, and the powers' window turns half a round later.
         // With up to 12 axes, at most one turn therefore happens per hop.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));

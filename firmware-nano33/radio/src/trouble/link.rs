@@ -152,7 +152,7 @@ impl Visit {
                     self.bonds.keep(bond);
                     self.trusted.set(Some(bond));
                 }
-                // Keys of a laptop that does not store them are useless here.
+                // If a laptop does not store its keys, they are useless here.
                 GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
                 GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
                 GattConnectionEvent::Gatt { event: GattEvent::Write(write) } => {

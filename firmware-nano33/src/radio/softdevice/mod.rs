@@ -92,7 +92,7 @@ impl Radio {
 
 fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
-        // The clock source must be that of embassy-nrf, otherwise S140 restarts the clock.
+        // The clock source must be that of embassy-nrf. Otherwise, S140 restarts the clock.
         clock: Some(raw::nrf_clock_lf_cfg_t {
             source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
             rc_ctiv: 0,

@@ -45,7 +45,7 @@ pub(super) struct Layout {
 pub enum Columns {
     /// Our name for each column of the file; `None` means unused.
     InOrder(Vec<Option<String>>),
-    /// Our name, and the name or number (from 1) in the file.
+    /// Our name for a column, and the column's name or number (from 1) in the file.
     Named(Vec<(String, String)>),
 }
 
@@ -283,7 +283,7 @@ impl Group {
         self.axes.iter().all(Option::is_some)
     }
 
-    /// Returns whether more than one name was recognised, because a single one may be accidental.
+    /// Returns whether more than one name was recognised, because a single name may be accidental.
     fn is_meant(&self, header: &[String]) -> bool {
         let known = |at: usize| AXIS_NAMES.contains(&header[at].as_str());
         !self.is_whole()

@@ -169,7 +169,7 @@ impl Take {
         unit.is_some_and(|unit| step * unit > PAUSE_MS)
     }
 
-    /// Converts times to ms, and counts those that are equal.
+    /// Converts times to ms, and counts equal times.
     fn clocked(
         &mut self,
         file: &Path,
@@ -270,7 +270,8 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// Returns a sensor's samples at these times, or `None` if its times do not cover them to within 0.2 s.
+    /// Returns a sensor's samples at these times,
+    /// or `None` if its own times do not cover these to within 0.2 s.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];

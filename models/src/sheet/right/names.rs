@@ -5,7 +5,7 @@ use crate::sheet::Sensor;
 /// Gravity in m/s², by definition.
 pub(crate) const G: f64 = 9.806_65;
 
-/// Units of each sensor: their spelling in lower case, and how many of our units (m/s², deg/s, µT) one of them is.
+/// Units of each sensor: the spelling in lower case, and the size of the unit in our units (m/s², deg/s, µT).
 const ACCELERATION: &[(&str, f64)] = &[
     ("m/s2", 1.0),
     ("m/s²", 1.0),
