@@ -1,8 +1,8 @@
 //! Handles recordings, training, quantisation, TFLite files and model cards.
 //!
 //! Without the feature `train`, this crate is small.
-//! Without `train`, it reads recordings, simulates wearers,
-//! and converts a `.tflite` file and its card to the blob.
+//! Without `train`, it reads recordings and simulates wearers.
+//! It also converts a `.tflite` file and its card to the blob.
 //! With `train` (the default, used by the program `models`), it also trains networks.
 //!
 //! Glossary: a *recording* is one file, with samples of one person who makes one gesture.

@@ -167,8 +167,8 @@ impl Recording {
     ///
     /// If the rate is within 1 % and there are no gaps, the samples are used unchanged.
     /// Otherwise, each new sample is interpolated linearly between its neighbours in time.
-    /// To avoid aliasing,
-    /// a recording is first averaged over one new interval if it has more than 1.5 times this rate.
+    /// To avoid aliasing, a recording at a much higher rate is first averaged over one new interval.
+    /// This applies above 1.5 times the models' rate.
     pub fn resampled(&self) -> Self {
         let interval_ms = 1000.0 / RATE_HZ;
         if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {

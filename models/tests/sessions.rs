@@ -116,7 +116,7 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
     // Simulated wearers handle objects all the time; real daily movement causes no events (`models daily events`).
-    // The limit is twice the previous limit,
-    // with which a third of the real circles were not recognised (see README).
+    // The limit is twice the previous limit (see README).
+    // With the previous limit, a third of the real circles were not recognised.
     assert!(events <= 24, "{events}");
 }

@@ -78,8 +78,8 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop receives the reason why no gesture is recognised,
-                // as often as it would otherwise receive states.
+                // The laptop receives the reason why no gesture is recognised.
+                // It receives this reason as often as it would otherwise receive states.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }

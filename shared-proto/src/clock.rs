@@ -38,7 +38,7 @@ struct Anchor {
 impl Anchor {
     /// Returns the earliest time on the laptop's clock at which the board's clock can have shown `board_ms`.
     /// Because the clock wraps, `board_ms` can mean several times.
-    /// The result uses the one within 24 days of the anchor.
+    /// The result uses the time within 24 days of the anchor.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
         // Both time stamps are rounded down to milliseconds, so the true difference may be one millisecond shorter.
@@ -180,9 +180,9 @@ mod tests {
     }
 
     proptest! {
-        /// For any allowed drift and any delays of pings, pongs and frames,
-        /// no computed age is below the true age.
-        /// No computed age exceeds the true one by more than the travel time of the fastest recent ping.
+        /// No computed age is below the true age.
+        /// This holds for any allowed drift and any delays of pings, pongs and frames.
+        /// No computed age exceeds the true age by more than the travel time of the fastest recent ping.
         #[test]
         fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(
             ppm in -50_000i64..=50_000,

@@ -6,7 +6,7 @@
 /// Converts a wrapping counter of events to the number of new events.
 ///
 /// The first value is the reference, because earlier events are not new.
-/// A repeated frame gives 0, and a frame after lost ones gives all events since the last received frame.
+/// A repeated frame gives 0, and a frame after lost frames gives all events since the last received frame.
 ///
 /// ```
 /// # use shared_proto::counter::CounterTracker;
@@ -75,7 +75,7 @@ impl SequenceTracker {
         Self { last: None }
     }
 
-    /// Classifies a sequence number. The first one counts as new, without lost frames.
+    /// Classifies a sequence number. The first number counts as new, without lost frames.
     pub fn see(&mut self, sequence: u16) -> Order {
         let step = match self.last {
             None => 1,

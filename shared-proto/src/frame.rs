@@ -1,7 +1,7 @@
 //! Frames: converts messages to bytes that survive a noisy line, and converts them back.
 //!
 //! The format is `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`.
-//! The zero byte occurs only there, so a receiver that has lost its place waits for the next zero.
+//! The zero byte occurs only at the end, so a receiver that has lost its place waits for the next zero.
 //!
 //! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted, whatever precedes it.
 //! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
@@ -89,8 +89,7 @@ struct FrameWriter<'b> {
     code_at: usize,
     crc: Crc32,
     /// Whether any data did not fit in the buffer.
-    /// The flag is checked at the end,
-    /// because a check after each byte would cost the left board 1 KB of flash.
+    /// The flag is checked only at the end. A check after each byte would cost the left board 1 KB of flash.
     full: bool,
 }
 
@@ -204,7 +203,7 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
 }
 
 /// Parses a laptop's message to a left board. Messages that only the right board knows are [`ParseError::Unknown`].
-/// For all other messages, it behaves like [`parse_host`] with much less code.
+/// For all other messages, the function behaves like [`parse_host`] with much less code.
 ///
 /// # Errors
 /// [`ParseError`] if this version does not have such a message for a left board.

@@ -11,7 +11,7 @@
 //!
 //! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.
 //! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
-//! Every other change is a major one (see [`PROTOCOL_MAJOR`]).
+//! Every other change is a major change (see [`PROTOCOL_MAJOR`]).
 //! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
 
 use crate::frame::{ParseError, frame_len};
@@ -270,7 +270,7 @@ open_list! {
         Panic = 5,
         /// The stored calibration was damaged, so the default is used.
         CalibrationDamaged = 6,
-        /// The stored model was damaged or cannot run on this image, so the compiled-in one is used.
+        /// The stored model was damaged or cannot run on this image, so the compiled-in model is used.
         ModelDamaged = 7,
         /// The running model reads a magnetometer that this board does not have, so no gesture is recognised.
         /// The detail is the sensor's number of axes.

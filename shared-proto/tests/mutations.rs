@@ -107,7 +107,7 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     let mut rest = stream;
     let mut whole = 0;
     // A chunk is valid if it equals a sent frame and ends with a delimiter.
-    // The delimiter before it belongs to the previous chunk, unless the stream starts here.
+    // The delimiter before the chunk belongs to the previous chunk, unless the stream starts here.
     while let Some(end) = rest.iter().position(|&byte| byte == DELIMITER) {
         let chunk = &rest[..end];
         // Frames in this test are short enough for one code byte, so the decoded length is one less.

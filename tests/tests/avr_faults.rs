@@ -366,7 +366,7 @@ fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
 }
 
-/// Tests the part of the old bootloader's endless reset that remains.
+/// Under the old bootloader, a program that hangs with interrupts disabled is not reset.
 /// The board is silent, the robot is at rest, and a reset helps.
 #[test]
 fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {

@@ -356,7 +356,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     let from = window.at.iter().position(|&at| at >= 2 * HZ).unwrap();
     let minute = window.at[from..].iter().filter(|&&at| at < 62 * HZ).count();
     let status = session.heard.statuses.last().unwrap();
-    // The true motion is that at the grid time minus the specified delay.
+    // The true motion is the motion at the grid time minus the specified delay.
     let scale = SCALE;
     let mut worst = [0.0f64; 2];
     let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
@@ -395,7 +395,7 @@ fn offset(session: &RightRig) -> f64 {
     session.board.clock_start() as f64 / HZ as f64
 }
 
-/// Tests models that replace the bundled one over the wire.
+/// Tests models that replace the bundled model over the wire.
 #[test]
 fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
     let mut script = Vec::new();

@@ -43,8 +43,8 @@ fn joined(interval: f64) -> RightRig {
 }
 
 /// Checks the samples that the image has taken since the tap, and returns their number.
-/// The samples' numbers must be consecutive,
-/// and their times (in whole ms) must fit the image's grid of 100 Hz.
+/// The numbers of these samples must be consecutive.
+/// Their times (in whole ms) must fit the image's grid of 100 Hz.
 /// No sample may be missing, and none may occur twice.
 fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
     let samples = rig.board.tapped(tap);

@@ -46,7 +46,7 @@ pub const EMULATORS: Packages = Packages {
     ],
 };
 
-/// Tools that the images with Bluetooth linked in need beside Rust.
+/// Tools other than Rust that the images with Bluetooth linked in need.
 pub const C_FOR_BOARDS: Packages =
     Packages { purpose: "Bluetooth linked into the boards' images", names: &["libclang-dev", "clang"] };
 

@@ -1,5 +1,5 @@
-//! LSM9DS1 (ST DocID025715 Rev 2): accelerometer and gyroscope are on one die,
-//! and the magnetometer is on another die.
+//! LSM9DS1 (ST DocID025715 Rev 2).
+//! Accelerometer and gyroscope are on one die, and the magnetometer is on another die.
 //!
 //! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do.
 //! Models and recordings can therefore be exchanged.

@@ -37,8 +37,8 @@ pub struct Row {
 
 impl Study {
     /// Runs the comparison with the seeds 1 to `seeds`.
-    /// A recipe that can adapt is also tested after 0 examples,
-    /// and after each number of examples in `counts`.
+    /// A recipe that can adapt is also tested after each number of examples in `counts`,
+    /// and without examples.
     /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,

@@ -15,8 +15,8 @@ use crate::tflite::FloatLayer;
 pub struct Steps {
     /// Minimum number of steps.
     pub count: usize,
-    /// Maximum number of steps. Between the minimum and the maximum, the amount of data determines the number
-    /// ([`Steps::following`]).
+    /// Maximum number of steps.
+    /// Below this maximum, the amount of data determines the number ([`Steps::following`]).
     pub most: usize,
     /// Windows per step.
     pub batch: usize,
@@ -340,8 +340,7 @@ fn run(
 }
 
 /// Scales the weights into and out of each hidden unit to the same maximum (Nagel et al., 2019).
-/// The scaling changes no output,
-/// because a unit that is twice as large and counts half gives the same result.
+/// The scaling changes no output: a unit that is twice as large and counts half gives the same result.
 /// After that, one int8 scale per layer suits all of its units.
 pub(super) fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {

@@ -24,7 +24,7 @@ impl<const N: usize> RingPlace<N> {
     /// Before the step, `in_back` pieces are in the back.
     /// If `in_back` is 0, the window turns: all pieces except the oldest are then in the front.
     /// `in_back` counts up modulo `N` or `N` − 1. Windows that are fed together should start with different values.
-    /// Their turns then happen in different hops. Numbers out of range count as 0.
+    /// The turns of such windows then happen in different hops. Numbers out of range count as 0.
     #[inline(always)]
     pub fn new(slot: usize, in_back: usize) -> Self {
         const { assert!(N > 0) };

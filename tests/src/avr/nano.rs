@@ -284,7 +284,7 @@ impl Nano {
         self.wires.sent.borrow_mut().pop_front()
     }
 
-    /// Returns the bytes whose last bit was sent by this cycle; later ones remain for the next call.
+    /// Returns the bytes whose last bit was sent by this cycle; later bytes remain for the next call.
     pub fn sent_until(&mut self, cycle: u64) -> Vec<u8> {
         let mut queue = self.wires.sent.borrow_mut();
         let count = queue.partition_point(|&(at, _)| at <= cycle);
@@ -428,7 +428,8 @@ impl Nano {
 
 impl Drop for Nano {
     fn drop(&mut self) {
-        // Safety: simavr allocated it, and it is not used afterwards. (The core itself is a plain allocation.)
+        // Safety: simavr allocated this memory, and it is not used afterwards.
+        // (The core itself is a plain allocation.)
         unsafe {
             ffi::avr_terminate(self.avr);
             libc_free(self.avr.cast());

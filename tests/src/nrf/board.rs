@@ -67,7 +67,8 @@ struct World {
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses with the numbers of their probes. There should be few, because every block searches the whole list.
+    /// Addresses with the numbers of their probes.
+    /// There should be few addresses, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
     /// Probes that fill the stack with a pattern.

@@ -45,7 +45,7 @@ pub struct Bus {
     pub sensor: Box<dyn Sensor>,
     /// Whether the sensor and the pull-ups have power.
     pub powered: bool,
-    /// The next transfers, up to this number, will not be acknowledged.
+    /// This many of the next transfers will not be acknowledged.
     pub nacks: u32,
     /// Number of clock pulses until a device releases SDA.
     pub stuck_clocks: u32,

@@ -3,7 +3,8 @@
 //! It ends at a robot on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
 //! `cargo xtask test --only "ROS 2"` runs this test and sets BIMANUAL_ROS2_PYTHON.
 //!
-//! DDS and the robot use wall-clock time; boards and program share a time that is never faster.
+//! DDS and the robot use wall-clock time.
+//! Boards and program share a time that is never faster than the wall clock.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::time::Duration;

@@ -1,8 +1,8 @@
 //! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
 //! Pairing uses LE Secure Connections, "just works".
-//! "Just works" protects against listeners,
-//! but not against an attacker nearby who answers in place of the laptop.
+//! "Just works" protects against listeners.
+//! It does not protect against an attacker nearby who answers in place of the laptop.
 //! Any laptop may bond while no bond exists, and for [`PAIRING`] after each start.
 //! Later, only laptops whose keys are stored are trusted.
 

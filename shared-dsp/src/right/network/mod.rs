@@ -32,9 +32,9 @@
 //! The header contains the inputs (u16), the outputs (u16) and the multiplier (i32 in 2³⁰..2³¹).
 //! After these, it contains the right shift (u8 in 1..=62), the output zero point (i8),
 //! the minimum output (i8), and 0.
-//! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self).
-//! The weights of rows 0, 1, 2 and 3 for the first four columns come first,
-//! then those for the next four columns.
+//! For every four outputs, four biases (i32) follow, and then the weights in the order of [`kernel`](self).
+//! First come the weights of rows 0, 1, 2 and 3 for the first four columns.
+//! Then come the weights of these rows for the next four columns.
 //! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.

@@ -9,11 +9,10 @@ const STACKED: [RegisterARM; 6] =
 
 /// Value of CONTROL with an active floating-point unit: FPCA and SFPA.
 /// Unicorn treats all code as secure.
-/// Without SFPA, it therefore starts a new context at the next floating-point instruction
-/// and clears its flags.
+/// Without SFPA, the next floating-point instruction would therefore start a new context and clear the flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
-/// A jump to this address or a higher one ends a handler.
+/// A jump to this address or to a higher address ends a handler.
 const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
 
 /// Size in bytes of a frame on the stack, with and without the registers of the floating-point unit.

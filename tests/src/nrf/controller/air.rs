@@ -1,6 +1,6 @@
 //! Starts and talks to the other process (`tests/bumble/peer.py`).
-//! The other process runs bumble's controllers, the radio link between them,
-//! and bumble's device as the laptop.
+//! The other process runs bumble's controllers and the radio link between them.
+//! It also runs bumble's device, which acts as the laptop.
 //! The process stays in step with the emulated board's virtual time.
 
 use std::collections::VecDeque;

@@ -1,5 +1,5 @@
 //! The commands of the controller's C interface.
-//! Each one is an HCI command, and its arguments are packed in the same way.
+//! Each command is an HCI command, and its arguments are packed in the same way.
 
 /// The place where a command is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -62,7 +62,8 @@ pub(super) enum Then {
     /// The call returns this value.
     Return { value: u32, to: u32 },
     /// The library calls this function back.
-    /// The callback returns to the address of the library's function, which looks like another call of it.
+    /// The callback returns to the address of the library's function.
+    /// This return looks like another call of the function.
     CallBack { function: u32, arguments: [u32; 2] },
     /// Nordic's own code runs.
     Run,

@@ -257,7 +257,8 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// Enables or disables notifications. It does nothing if the application must first restore its attributes.
+    /// Enables or disables notifications.
+    /// Nothing happens if the application must first restore its attributes.
     pub(super) fn subscribe(&mut self, on: bool, soc: &mut Soc) -> Option<bool> {
         let link = self.link.as_mut().expect("a link");
         if !link.system_attributes {

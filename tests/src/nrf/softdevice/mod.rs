@@ -57,7 +57,7 @@ pub struct SoftDevice {
     events: VecDeque<Vec<u8>>,
     usb: UsbEvents,
     flash: Option<FlashJob>,
-    /// Number of flash operations that will fail, as real ones do while the radio is busy.
+    /// Number of flash operations that will fail, as real operations do while the radio is busy.
     pub flash_refusals: u32,
     uuids: Vec<[u8; 16]>,
     table: Table,
