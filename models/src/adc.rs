@@ -46,7 +46,7 @@ impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
-    /// [`RecordingError`] unless the file contains a complete recording.
+    /// Returns a [`RecordingError`] unless the file contains a complete recording.
     pub fn read(file: &Path) -> Result<Read, RecordingError> {
         let bytes =
             std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;

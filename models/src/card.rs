@@ -82,7 +82,7 @@ pub struct Training {
     pub validation_fraction: f64,
     /// A description of how training recordings were varied.
     pub augmentation: String,
-    /// Number of training windows, including varied ones.
+    /// Number of training windows, including windows of varied recordings.
     pub windows: usize,
 }
 

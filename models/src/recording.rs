@@ -73,7 +73,7 @@ impl Recording {
     /// Like [`Self::parse`], with the rules of [`Reading`].
     ///
     /// # Errors
-    /// [`RecordingError`]. It is also an error if the file contains several recordings.
+    /// Returns a [`RecordingError`], for example if the file contains several recordings.
     pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {

@@ -141,7 +141,7 @@ impl<F: MappedFlash> BondLog<F> {
     /// Stores this laptop. If exactly the same bond is already stored, nothing is written.
     ///
     /// # Errors
-    /// If the flash could not store the bond. The bonds that were stored before remain.
+    /// Fails if the flash could not store the bond. The bonds that were stored before remain.
     pub async fn keep(&mut self, bond: Bond) -> Result<(), NotKept> {
         if self.laptops.iter().any(|kept| *kept == bond) {
             return Ok(());

@@ -52,7 +52,7 @@ impl core::error::Error for EncodeError {}
 /// Writes the frame of a board's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
@@ -60,7 +60,7 @@ pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result
 /// Writes the frame of a laptop's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
@@ -70,7 +70,7 @@ pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&
 /// The function saves flash on boards, because the program contains code only for the bodies that it sends.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_body<'b, B: BoardBody>(body: &B, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     // A message's number is one byte on the wire, because there are fewer than 128.
     encode(&(B::NUMBER, body), out)
@@ -180,7 +180,7 @@ impl core::error::Error for ParseError {}
 /// [`Hello`](BoardMessage::Hello) is an exception: its fields are frozen, but later versions may append to it.
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message.
+/// Returns a [`ParseError`] if this version does not have such a message.
 pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || matches!(message, BoardMessage::Hello(_)) => Ok(message),
@@ -194,7 +194,7 @@ pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
 /// [`HelloRequest`](HostMessage::HelloRequest) is an exception, for the same reason as in [`parse_board`].
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message.
+/// Returns a [`ParseError`] if this version does not have such a message.
 pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
@@ -206,7 +206,7 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
 /// For all other messages, the function behaves like [`parse_host`] with much less code.
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message for a left board.
+/// Returns a [`ParseError`] if this version does not have such a message for a left board.
 pub fn parse_left_request(payload: &[u8]) -> Result<LeftRequest, ParseError> {
     match LeftRequest::take(payload)? {
         (message, rest) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),

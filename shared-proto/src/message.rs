@@ -373,7 +373,8 @@ pub struct ModelBegin<'a> {
     /// The sensor scale that was used in training, as a multiple of the data sheets' scale.
     /// The values are for accelerometer, gyroscope and magnetometer.
     /// For two of the sensors, Arduino's library uses a factor of 1.1469.
-    /// Boards use the data sheets' scale and refuse models with another scale, because gestures would need another tempo.
+    /// Boards use the data sheets' scale and refuse models with another scale.
+    /// With such a model, gestures would need another tempo.
     pub scaling: [f32; 3],
     /// Length of the complete blob in bytes.
     pub size: u32,

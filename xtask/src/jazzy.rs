@@ -121,7 +121,7 @@ fn say_where_python_is(venv: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the files of a package of interfaces, such as `msg/TFMessage.msg`, sorted.
+/// Returns the sorted files of a package of interfaces, such as `msg/TFMessage.msg`.
 fn interface_files(package: &str) -> Result<Vec<String>> {
     let folder = root().join("tests/ros2/interfaces").join(package);
     let mut files = Vec::new();

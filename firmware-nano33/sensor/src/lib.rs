@@ -98,19 +98,19 @@ pub trait Imu {
     /// Resets and configures the sensor, reads its settings back, and starts its FIFO.
     ///
     /// # Errors
-    /// The sensor was not recognised or did not accept its settings, or a transfer failed.
+    /// Fails if the sensor was not recognised or did not accept its settings, or if a transfer failed.
     async fn start(&mut self, delay: &mut impl embedded_hal_async::delay::DelayNs) -> Result<(), ImuError>;
 
     /// Clears the batch and moves all waiting sets from the sensor to it.
     ///
     /// # Errors
-    /// A transfer failed. The batch contains the sets that were read before the failure.
+    /// Fails if a transfer failed. The batch contains the sets that were read before the failure.
     async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError>;
 
     /// Checks that the sensor's settings are still in effect.
     /// The firmware calls this when sets stop arriving.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.
+    /// Returns [`ImuError::Reset`] if the settings were lost, or another error if a transfer failed.
     async fn check(&mut self) -> Result<(), ImuError>;
 }

@@ -311,7 +311,7 @@ impl Tally {
 /// Plays a recording as a board would, and returns its events as (sample, label).
 ///
 /// # Errors
-/// The model needs samples of another kind.
+/// Fails if the model needs samples of another kind.
 pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
@@ -345,7 +345,7 @@ pub struct Heard {
 /// Returns all outputs of a model of recipe `aligned` for a recording, so that callers can compare several decisions.
 ///
 /// # Errors
-/// The model needs samples of another kind.
+/// Fails if the model needs samples of another kind.
 pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();

@@ -18,7 +18,7 @@ pub struct Study {
     pub recipe: &'static str,
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Results by person and seed. Each result is that of a model trained without that person.
+    /// Results by person and seed. Each result is for a model that was trained without that person.
     pub strangers: Vec<Vec<Graded>>,
     /// Results for a random 20 % of the same people's recordings, by seed.
     pub random: Vec<Graded>,

@@ -127,7 +127,7 @@ pub struct Sheet {
 /// `file` is used in errors, and its name identifies the sensor of columns x, y, z.
 ///
 /// # Errors
-/// [`RecordingError`] with the place and a remedy.
+/// Returns a [`RecordingError`] that contains the place and a remedy.
 pub fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Sheet, RecordingError> {
     right::parse(file, bytes, reading)?.judged(file, reading)
 }

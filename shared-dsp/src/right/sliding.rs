@@ -35,7 +35,7 @@ impl<const N: usize> RingPlace<N> {
         }
     }
 
-    /// Returns the same step for another window, which has its own number of pieces in the back.
+    /// Returns the same step for another window with its own number of pieces in the back.
     #[inline(always)]
     pub fn with_in_back(self, in_back: usize) -> Self {
         Self { in_back: if in_back < N { in_back } else { 0 }, ..self }

@@ -83,7 +83,7 @@ impl Controller {
         self.slot = Slot::plan(request, self.link.as_ref(), soc.now);
     }
 
-    /// The image's callback for a slot has returned. The callback wants the action at the address `wishes`.
+    /// The image's callback for a slot has returned, and requests the action at the address `wishes`.
     pub(super) fn slot_returned(&mut self, wishes: u32, soc: &mut Soc) {
         if let Slot::Running { until } = self.slot
             && soc.now > until
