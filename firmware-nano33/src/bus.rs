@@ -20,9 +20,9 @@ pub struct SensorPins {
     pub sda: Peri<'static, AnyPin>,
     /// I2C clock.
     pub scl: Peri<'static, AnyPin>,
-    /// Supplies the sensor while high.
+    /// This pin supplies the sensor while it is high.
     pub power: Peri<'static, AnyPin>,
-    /// Supplies the pull-ups of the bus while high. Not all boards have this pin.
+    /// This pin supplies the pull-ups of the bus while it is high. Not all boards have this pin.
     pub pull_ups: Option<Peri<'static, AnyPin>>,
 }
 

@@ -104,7 +104,7 @@ impl Recording {
         self.time_ms.len()
     }
 
-    /// Whether there are no samples. A recording from a file always has some.
+    /// Whether there are no samples. A recording from a file always contains samples.
     pub fn is_empty(&self) -> bool {
         self.time_ms.is_empty()
     }

@@ -155,7 +155,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     );
     // According to the nRF52840 product specification, the processor draws 52 uA/MHz awake.
     // This value is for code in flash at 3 V with the DC/DC converter.
-    // Asleep with RAM and RTC, it draws 3.16 uA.
+    // Asleep with RAM and RTC, the processor draws 3.16 uA.
     println!(
         "processor current implied {:.0} uA (radio and sensor come on top)",
         share * 0.052 * 64e3 + 3.16

@@ -115,7 +115,7 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
     );
     // According to the nRF52840 product specification, the processor draws 52 uA/MHz awake.
     // This value is for code in flash at 3 V with the DC/DC converter.
-    // Asleep with RAM and RTC, it draws 3.16 uA.
+    // Asleep with RAM and RTC, the processor draws 3.16 uA.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,

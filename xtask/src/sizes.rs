@@ -1,5 +1,5 @@
-//! `cargo xtask sizes`: measures the flash that micromath's functions
-//! and our own functions take on the boards.
+//! `cargo xtask sizes`: measures the flash of micromath's functions on the boards.
+//! The command also measures the flash of our own functions.
 
 use std::path::Path;
 use std::process::Command;

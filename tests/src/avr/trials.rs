@@ -70,9 +70,9 @@ pub struct BendCounts {
     pub bends: [u32; 2],
     /// Number of bends that the finger's counter counted exactly once.
     pub once: [u32; 2],
-    /// Number of counts without a bend.
+    /// Number of counts that no bend caused.
     pub excess: u32,
-    /// Number of stop flags without a closed hand.
+    /// Number of stop flags that the board set although the hand was not closed.
     pub stops: u32,
 }
 

@@ -270,8 +270,8 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// Returns a sensor's samples at these times,
-    /// or `None` if its own times do not cover these to within 0.2 s.
+    /// Returns a sensor's samples at these times.
+    /// Returns `None` if the sensor's own times do not cover these times to within 0.2 s.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];
