@@ -31,7 +31,7 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
 
 /// Minimum period of a movement in samples: 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
-/// Minimum and maximum number of samples of the end that are compared with the previous period.
+/// Minimum and maximum number of samples at the end that are compared with the samples one period earlier.
 const COMPARED: (usize, usize) = (12, 50);
 /// Number of samples over which the jump at the seam fades.
 const SEAM: usize = 10;

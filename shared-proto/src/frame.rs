@@ -36,7 +36,8 @@ pub const HOST_FRAME_MAX: usize = largest(HostMessage::ROWS, false);
 
 /// The caller's buffer is too small for the frame.
 ///
-/// If the buffer has the message's [`BoardBody::FRAME_MAX`], a text or list in the message exceeds its maximum length.
+/// If the buffer has [`BoardBody::FRAME_MAX`] bytes,
+/// a text or list in the message exceeds its maximum length.
 /// See [`message`](crate::message).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncodeError;

@@ -106,7 +106,7 @@ const DEEPER_TEXTS: [&str; 6] = [
     "third_party/nordic/nrfxlib/softdevice_controller/license.txt",
     "third_party/nordic/nrfx/LICENSE",
 ];
-/// Contents of a part that its own crate does not declare.
+/// Notices about contents that the crate of a part does not declare.
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 

@@ -9,7 +9,7 @@
 //! Frames form a byte stream in both directions, which is cut into pieces according to the MTU.
 //! This file contains the parts that all Bluetooth stacks share.
 //! The feature `trouble` adds the stack that is linked into the image.
-//! The code is a separate crate, so that the compiler can optimise it for size. Hardly any of it runs often.
+//! The code is a separate crate, so that the compiler can optimise it for size. Most of the code runs rarely.
 #![no_std]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 

@@ -66,7 +66,8 @@ type Resources = HostResources<DefaultPacketPool, 1, 1, 1, { REMEMBERED + 1 }>;
 
 /// Number of packets that the controller buffers for a link: packets to the laptop, and packets from it.
 const PACKETS: (u8, u8) = (4, 3);
-/// Size of the largest packet on the air without its header, which is four bytes more than the largest MTU.
+/// Size of the largest packet on the air, without its header.
+/// The size is four bytes more than the largest MTU.
 const PACKET: u16 = PAYLOAD as u16 + 7;
 /// Memory that the controller needs according to the formulas of its `sdc.h`, rounded up to 100 bytes.
 /// This memory contains a link with those buffers and the part that all links share.
