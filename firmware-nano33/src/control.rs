@@ -1,4 +1,5 @@
-//! The receiving task passes the laptop's messages to the board and to the model store. Both reply to these messages.
+//! The receiving task passes the laptop's messages to the board and to the model store.
+//! The board and the store reply to these messages.
 
 use embassy_time::{Duration, Timer};
 use shared_board::models::{MappedFlash, ModelStore};

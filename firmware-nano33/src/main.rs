@@ -75,7 +75,7 @@ fn main() -> ! {
     config.gpiote_interrupt_priority = Priority::P7;
     let p = embassy_nrf::init(config);
     let reasons = embassy_nrf::pac::POWER.resetreas().read();
-    // Writing ones clears the bits of RESETREAS.
+    // A bit of RESETREAS is cleared by writing 1 to it.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
     about::started(reasons);

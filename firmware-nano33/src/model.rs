@@ -25,7 +25,7 @@ static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"
 pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
-    // The store has checked a stored model, and build.rs checks the built-in one.
+    // The store has checked a stored model, and build.rs checks the built-in model.
     let hand =
         Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
     let Some(hand) = hand else { defmt::unreachable!("checked before") };

@@ -34,7 +34,7 @@ impl NorFlashError for FlashFailed {
 
 /// Flash operations that the storage requires.
 pub trait Flash {
-    /// Sets a page to all ones.
+    /// Erases a page, which sets all its bits to one.
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed>;
     /// Writes words to erased flash. The address must be a multiple of 4.
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;
@@ -108,7 +108,8 @@ fn stored(offset: usize, len: usize) -> &'static [u8] {
 }
 
 fn mapped(start: u32, len: usize) -> &'static [u8] {
-    // SAFETY: this is memory-mapped flash that the linker does not use. It changes only through `Flash`.
+    // SAFETY: this is memory-mapped flash that the linker does not use.
+    // The flash changes only through `Flash`.
     // A `ModelStore` keeps no reference while it writes, and never writes to the slot of the running model.
     // The same holds for a `BondLog`.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }

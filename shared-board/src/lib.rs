@@ -1,4 +1,5 @@
-//! The logic of the boards without their pins. Inputs are samples, bytes and time; outputs are frames, memory operations and the light.
+//! The logic of the boards without their pins.
+//! The inputs are samples, bytes and time. The outputs are frames, memory operations and the light.
 //!
 //! ```text
 //!  samples ─▶ ┌───────────────────────┐ ─▶ frames
@@ -15,10 +16,10 @@
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
 //!
 //! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all use this code.
-//! They differ only in where samples come from and where frames go.
+//! These programs differ only in where samples come from and where frames go.
 //!
 //! This code never waits, reads a clock or accesses a register.
-//! All times are on the board's own clock, in milliseconds since start, which wraps after 49 days.
+//! All times are on the board's own clock, which counts milliseconds since the start and wraps after 49 days.
 //!
 //! # A left board in ten lines
 //! ```

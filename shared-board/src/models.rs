@@ -163,7 +163,8 @@ impl<F: MappedFlash> ModelStore<F> {
     }
 
     /// Executes a request and answers it.
-    /// After each erased page it calls `pause`, in which a board reads the samples that its sensor has stored meanwhile.
+    /// After it has erased a page, it calls `pause`.
+    /// There, a board reads the samples that its sensor has stored in the meantime.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -214,7 +215,7 @@ impl<F: MappedFlash> ModelStore<F> {
         if data.is_empty() || end > u64::from(transfer.size) || (!data.len().is_multiple_of(4) && !is_last) {
             return AckResult::OutOfRange;
         }
-        // The last piece is padded with one bits, which have no effect in flash.
+        // The last piece is padded with bits of value 1, which have no effect in flash.
         let mut aligned = Aligned([0xFF; MODEL_CHUNK_MAX]);
         let Some(place) = aligned.0.get_mut(..data.len()) else { return AckResult::OutOfRange };
         place.copy_from_slice(data);

@@ -18,8 +18,9 @@ pub mod desk;
 #[cfg(all(unix, feature = "ble"))]
 pub mod bluez;
 
-/// Returns whether the tests of the image with Bluetooth linked in run. It takes minutes to build, so this is the long run,
-/// or a run for which `BIMANUAL_NANO33_TROUBLE_ELF` names the image.
+/// Returns whether to run the tests of the image that has Bluetooth linked in.
+/// Its build takes minutes, so these tests run only in the long run.
+/// They also run if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image.
 pub fn has_linked_image() -> bool {
     let has = is_full() || std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").is_some();
     if !has {

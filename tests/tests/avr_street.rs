@@ -41,7 +41,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         street.run_ms(500);
         let mut latencies = Vec::new();
         for phase in 0..phases {
-            // The steps are spread evenly over the 10 ms sample period. Each one starts at rest in neutral.
+            // The steps are spread evenly over the 10 ms sample period. Each step starts at rest in neutral.
             let at = (street.now_ms() / 10 + 5) * 10 * CYCLES_PER_MS + phase * 10 * CYCLES_PER_MS / phases;
             step.borrow_mut().0 = at;
             while !street.moves() {

@@ -1,6 +1,7 @@
 //! `cargo xtask campaign`: runs all safety tests under faults at full length, and prints one table.
 //!
-//! The rows are tests. Each prints `row: WHAT | COUNT | WORST | LIMIT`; a test program without such lines is one row.
+//! A test prints each of its rows as `row: WHAT | COUNT | WORST | LIMIT`.
+//! A test program without such lines is one row.
 //! `cargo xtask test` includes the short form of every row: the same tests without `BIMANUAL_FULL`.
 
 use std::process::{ExitCode, Stdio};
@@ -173,7 +174,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
         // Builds only one crate, so that nothing else is built in release mode.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
-        // The workspace with the features of its tests, so that nothing is compiled again.
+        // The whole workspace is tested with the features of its tests, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);

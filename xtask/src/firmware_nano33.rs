@@ -78,7 +78,7 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
-/// Builds all variants, or only the named one, and prints their sizes.
+/// Builds all variants, or only the named variant, and prints their sizes.
 ///
 /// # Errors
 /// Fails if a variant does not build, or if the name is unknown.
@@ -110,7 +110,8 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the variants that the tests run. The images with Bluetooth linked in take minutes to build, so only `--full` has them.
+/// Builds the variants that the tests run.
+/// The images with Bluetooth linked in take minutes to build, so only `--full` has them.
 ///
 /// # Errors
 /// As [`run`].
@@ -123,7 +124,7 @@ pub fn run_for_tests() -> Result<()> {
 
 /// Returns a cargo command for the images.
 /// Images with Bluetooth linked in contain a little C code, and bindings that are generated from Nordic's headers.
-/// Their generic code is optimised for size.
+/// The generic code of these images is optimised for size.
 fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     let mut command = cargo(Target::Thumb, subcommand)?;
     if options.iter().any(|option| option.contains("trouble")) {
@@ -159,7 +160,7 @@ pub fn test_drivers() -> Result<()> {
     sh(tests.current_dir(root().join("firmware-nano33/sensor")).env("CARGO_TARGET_DIR", target_dir()))
 }
 
-/// Clippy of all variants.
+/// Runs clippy on all variants.
 ///
 /// # Errors
 /// Names each problem.

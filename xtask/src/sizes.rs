@@ -1,4 +1,5 @@
-//! `cargo xtask sizes`: the flash that micromath's functions take on the boards, beside our own.
+//! `cargo xtask sizes`: measures the flash of micromath's functions on the boards.
+//! The command also measures the flash of our own functions.
 
 use std::path::Path;
 use std::process::Command;
@@ -10,7 +11,8 @@ use crate::steps::{output, sh};
 use crate::toolchain::{self, Target};
 use crate::{root, target_dir};
 
-/// Builds one program for each function and one that computes nothing, and prints the differences of their sizes.
+/// Builds one program for each function, and one program that computes nothing.
+/// Prints the differences of their sizes.
 ///
 /// # Errors
 /// Fails if a program does not build.

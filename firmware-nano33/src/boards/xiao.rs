@@ -1,6 +1,7 @@
 //! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which is sold with S140 7.3.0 and a UF2 bootloader.
 //!
-//! These pins are not used: P0.13 and P0.17 (charging), P0.25 (flash), and P0.16, P1.00 and P1.10 (microphone).
+//! Some pins are not used:
+//! P0.13 and P0.17 (charging), P0.25 (flash), and P0.16, P1.00 and P1.10 (microphone).
 //! **This file has not been tested on a real board.** The pins are from the sources of Zephyr and Seeed.
 
 use embassy_nrf::{Peripherals, saadc};

@@ -1,6 +1,7 @@
-//! A program that computes one thing, or nothing, so that the difference of two sizes is what the computation takes.
+//! A program that computes one thing, or nothing.
+//! The difference of two sizes is the flash that the computation takes.
 //!
-//! Inputs are read and results are written as volatile, so that the compiler can leave nothing out.
+//! Inputs are read and results are written with volatile accesses, so that the compiler cannot omit anything.
 #![no_std]
 #![no_main]
 

@@ -44,7 +44,7 @@ enum Stop {
     ExceptionReturn,
     /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
-    /// The core called a function at this address that the emulator executes in its place.
+    /// The core called the function at this address, and the emulator executes it instead of the core.
     Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
@@ -58,15 +58,17 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Number of cycles of executed instructions, and its value when interrupts were masked.
+    /// Number of cycles spent on instructions, now and when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
-    /// and [`ANSWERED`] if the emulator executes the function itself.
+    /// Number of instructions of the block that starts at each half-word of flash.
+    /// The value is 0 if the block has not run.
+    /// The value is [`ANSWERED`] if the emulator executes the function itself.
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses with the numbers of their probes. There should be few, because every block searches the whole list.
+    /// Addresses with the numbers of their probes.
+    /// There should be few addresses, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
     /// Probes that fill the stack with a pattern.
@@ -165,7 +167,7 @@ pub struct Board {
     /// Causes of all resets since power-up (RESETREAS).
     pub resets: Vec<u32>,
     /// Whether the simulated bootloader is active. It accepts an upload until the board is reset.
-    /// Like the stock bootloader, this one never feeds a watchdog.
+    /// Like the stock bootloader, this bootloader never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }
@@ -295,7 +297,7 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // This is the state after the stock bootloader: its own vector table is active, and the converter and the cache are on.
+            // The stock bootloader leaves its vector table active, and leaves the converter and the cache on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
             // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.
@@ -444,7 +446,8 @@ impl Board {
         self.reset(PIN);
     }
 
-    /// Simulates a slow crystal whose start outlasts the stock bootloader, which then leaves CLOCK's interrupt enabled.
+    /// Simulates a slow crystal, whose start takes longer than the stock bootloader runs.
+    /// The bootloader then leaves CLOCK's interrupt enabled.
     pub fn leave_clock_interrupt(&mut self) {
         self.slow_crystal = true;
         self.start();

@@ -18,9 +18,10 @@ pub enum Variant {
     Trouble,
 }
 
-/// Returns the image of a variant, built by `cargo xtask firmware nano33`. The variables `BIMANUAL_NANO33_ELF`,
-/// `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` select other images, or images
-/// that are already built, as `cargo xtask test` does.
+/// Returns the image of a variant, built by `cargo xtask firmware nano33`.
+/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and
+/// `BIMANUAL_XIAO_ELF` select other images.
+/// `cargo xtask test` uses them to select images that are already built.
 ///
 /// # Panics
 /// Panics if the image does not build. The terminal shows the reason.

@@ -27,7 +27,7 @@ impl Image {
     /// Reads an ELF file.
     ///
     /// # Panics
-    /// Panics if the file is not an image for this chip, which our own linker never produces.
+    /// Panics if the file is not an image for this chip. An image from our own linker never causes this.
     pub fn load(path: &Path) -> Self {
         let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");

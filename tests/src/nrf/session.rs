@@ -20,7 +20,7 @@ pub struct Right {
     pub sequence: u16,
     /// Time of the window's newest sample on the board's clock.
     pub board_time_ms: u32,
-    /// Number of gestures since the start, which wraps.
+    /// Number of gestures since the start. The number wraps.
     pub events: u8,
     /// Index of the last event's gesture; 255 before the first event.
     pub label: u8,
@@ -47,7 +47,7 @@ pub struct Heard {
     pub faults: Vec<Fault>,
     /// Replies to requests.
     pub acks: Vec<Ack>,
-    /// Raw samples: the number of the first one, and the counts.
+    /// Raw samples: the number of the first sample, and the counts.
     pub raw: Vec<(u32, Vec<i16>)>,
     /// The board's newest description of its hardware.
     pub about: Option<About>,
@@ -72,7 +72,7 @@ pub struct RightRig {
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// The Bluetooth of the laptop, if it uses Bluetooth. Another laptop is then connected at D0.
     pub ble: Option<BleHost>,
-    /// Bumble's Bluetooth, if the laptop uses it. Another laptop is connected at D0 in this case too.
+    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0, too.
     pub air: Option<AirHost>,
     /// Messages that the other laptop, at D0, received.
     pub uart: Listener,
@@ -89,7 +89,7 @@ impl RightRig {
         Self::ble_of_kind(Kind::Nano33, motion)
     }
 
-    /// Starts such a session with a board of this kind.
+    /// Starts a Bluetooth session with a board of this kind.
     pub fn ble_of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
         let variant = if kind == Kind::Xiao { Variant::Xiao } else { Variant::Ble };
         let mut board = Board::of_kind(kind, image(variant), Boot::SoftDevice, motion);
@@ -98,7 +98,8 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// Starts such a session with a board at rest, and waits until it is connected, bonded and subscribed.
+    /// Starts a Bluetooth session with a board at rest.
+    /// Waits until the laptop is connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();
@@ -135,7 +136,8 @@ impl RightRig {
         Self { board, heard, decoder, ble, air: None, uart }
     }
 
-    /// Plugs in the USB cable with a charger. With S140, the UART at D0 works only then.
+    /// Plugs in the USB cable with a charger.
+    /// With S140, the UART at D0 works only while the cable is plugged in.
     pub fn charge(&mut self) {
         let soc = self.board.soc();
         soc.power.set_vbus(true, soc.now);
@@ -154,7 +156,8 @@ impl RightRig {
         }
     }
 
-    /// Runs in steps of a millisecond until a condition holds or the time is over. Returns whether it held.
+    /// Runs in steps of a millisecond until a condition holds or the time is over.
+    /// Returns whether the condition held.
     pub fn run_until_that(&mut self, milliseconds: u64, mut holds: impl FnMut(&mut Self) -> bool) -> bool {
         for _ in 0..milliseconds {
             if holds(self) {

@@ -1,6 +1,7 @@
 //! `cargo xtask paper`: compares the paper's results with our measurements row by row, and gives the command for each.
 //!
-//! Tests print the rows as `paper: WHAT | PAPER | HERE`. For the rows about recognition, this command trains models itself.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`.
+//! For the rows about recognition, this command trains models itself.
 //! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;
@@ -274,7 +275,7 @@ fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Returns the matrix of tilt directions and commands, if the test printed one.
+/// Returns the matrix of tilt directions and commands, if the test printed a matrix.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();

@@ -10,7 +10,8 @@ use crate::target_dir;
 use crate::test::cargo;
 
 /// Trains models with the paper's recipe and with ours on simulated wearers.
-/// It tests them on a random 20 % of the recordings, as in the paper, and on wearers who are not in the training data.
+/// Tests them on a random 20 % of the recordings, as in the paper.
+/// Also tests them on wearers who are not in the training data.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);
