@@ -77,7 +77,7 @@ fn papers_rows(summary: &Summary) {
         let gesture = started.expect("a gesture started it");
         let here_s = (pose.time_ms - gesture.time_ms) as f64 / 1000.0;
         println!(
-            "paper: demo: {} to {} reached | {paper_s:.1} s from home | {here_s:.1} s",
+            "paper: demo: time from {} until {} is reached | {paper_s:.1} s from home | {here_s:.1} s",
             gesture.label, pose.motion
         );
     }
@@ -85,12 +85,12 @@ fn papers_rows(summary: &Summary) {
     let wheels = summary.latency.sample_to_wheels;
     let ms = |value: Option<u64>| value.map_or_else(|| "–".to_owned(), |ms| ms.to_string());
     println!(
-        "paper: demo: end of a gesture's last window to the arm, median and worst | not stated | {} and {} ms",
+        "paper: demo: time from a gesture's last window until the arm starts, median and maximum | not stated | {} and {} ms",
         ms(arm.median_ms),
         ms(arm.worst_ms)
     );
     println!(
-        "paper: demo: left hand's sample to the wheels, median and worst | not stated | {} and {} ms",
+        "paper: demo: time from the left hand's sample until the wheels react, median and maximum | not stated | {} and {} ms",
         ms(wheels.median_ms),
         ms(wheels.worst_ms)
     );
