@@ -1,11 +1,13 @@
 //! Convex hulls of meshes, and capsules that enclose them (feature `urdf`).
 //!
-//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull. Each point is first moved by less than [`JOGGLE`]
-//! of the points' extent, so that no three points lie on a line and no four in a plane.
+//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull.
+//! Each point is first moved by less than [`JOGGLE`]
+//! times the extent of all points, so that no three points lie on a line and no four lie in a plane.
 //! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick.
-//! A hull is therefore cut by planes while this reduces the protrusion. Each capsule encloses its convex piece.
+//! A hull is therefore cut by planes as long as each cut reduces the protrusion.
+//! Each capsule encloses one convex piece.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +22,8 @@ const JOGGLE: f64 = 1e-5;
 const PIECES_MAX: usize = 12;
 /// Capsules that protrude from the hull by no more than this are good enough.
 const OUT_MAX_M: f64 = 0.004;
-/// A cut must reduce the protrusion to less than this fraction: one for two pieces, one for four.
+/// A cut must reduce the protrusion to less than this fraction.
+/// The first value is for two pieces, the second for four.
 const WORTH: [(usize, f64); 2] = [(2, 0.9), (4, 0.75)];
 
 /// Returns capsules that enclose the convex hull of the points, and none if there are no points.
@@ -124,7 +127,8 @@ impl Piece {
     }
 }
 
-/// Returns the distance by which a capsule protrudes from a hull, measured perpendicular to the hull's planes.
+/// Returns the distance by which a capsule protrudes from a hull, measured perpendicular
+/// to the hull's planes.
 fn out_m(capsule: &Capsule, planes: &[Plane]) -> f64 {
     let beyond =
         |(normal, at): &Plane| normal.dot(capsule.a_m).max(normal.dot(capsule.b_m)) + capsule.radius_m - at;
@@ -150,7 +154,8 @@ fn around_line(points: &[Point], a_m: Point, b_m: Point) -> Capsule {
     Capsule { radius_m, ..line }
 }
 
-/// Returns a capsule that encloses all points: of a few directions, the one that protrudes least.
+/// Returns the capsule that protrudes least, chosen from a few directions.
+/// Each candidate encloses all points.
 fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     let first = points.first().copied().unwrap_or_default();
     let furthest = |from: Point| {
@@ -186,7 +191,7 @@ fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     smallest.unwrap_or(Capsule { a_m: first, b_m: first, radius_m: 0.0 })
 }
 
-/// Returns the protrusion, with a small addition for size, so that of two equal capsules the smaller one wins.
+/// Returns the protrusion plus a small term for the size, so that the smaller of two equal capsules wins.
 fn cost(capsule: &Capsule, planes: &[Plane]) -> f64 {
     out_m(capsule, planes) + 0.05 * (capsule.radius_m + 0.5 * capsule.a_m.distance(capsule.b_m))
 }
@@ -327,7 +332,8 @@ impl Quickhull {
         self.faces[face].normal.dot(self.points[point]) - self.faces[face].at
     }
 
-    /// Assigns a point to the first face, counted from `from`, that it lies beyond. A point inside is discarded.
+    /// Assigns a point to the first face, counted from `from`, that it lies beyond.
+    /// A point inside is discarded.
     fn give(&mut self, point: usize, from: usize) {
         let sees = (from..self.faces.len()).find(|face| self.beyond(*face, point) > 1e-12);
         if let Some(face) = sees {
@@ -360,7 +366,8 @@ impl Quickhull {
         Some(hull)
     }
 
-    /// The point that is furthest beyond a face becomes a corner of the hull. `None` means that rounding prevents this.
+    /// The point that is furthest beyond a face becomes a corner of the hull.
+    /// `None` means that rounding prevents this.
     fn reach_out(&mut self, face: usize) -> Option<()> {
         let far = |a: &&usize, b: &&usize| self.beyond(face, **a).total_cmp(&self.beyond(face, **b));
         let point = *self.faces[face].outside.iter().max_by(far)?;

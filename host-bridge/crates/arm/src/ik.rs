@@ -1,7 +1,9 @@
 //! Inverse kinematics: finds joint angles for a position and an orientation of the flange.
 //!
-//! The method is damped least squares (Nakamura and Hanafusa 1986), with more damping after an unsuccessful step.
-//! The solver restarts from seeded random angles. The budget counts steps and collision checks ([`Budget`]), not time.
+//! The method is damped least squares (Nakamura and Hanafusa 1986),
+//! with more damping after an unsuccessful step.
+//! The solver restarts from seeded random angles.
+//! The budget counts steps and collision checks ([`Budget`]), not time.
 //! Equal calls therefore give equal results on any machine.
 //! A position beyond the arm's length is refused without a step ([`SerialArm::beyond_reach_m`]).
 //! The test `tests/plan_ik.rs` prints the number of steps for solved and for refused positions.
@@ -91,7 +93,7 @@ pub fn solve(
     solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
 }
 
-/// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
+/// Like [`solve`], but the steps count against the purse. The search ends when the purse is empty.
 ///
 /// # Errors
 /// Returns the same errors as [`solve`].
@@ -214,8 +216,8 @@ fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose;
     ([way.x, way.y, way.z, turn.x, turn.y, turn.z], poses)
 }
 
-/// Returns what the flange does per unit of each joint, in the base frame: its speed, then its turn rate.
-/// `poses` are the links' frames and the flange's.
+/// Returns the motion of the flange per unit of each joint, in the base frame: linear speed, then turn rate.
+/// `poses` contains the frames of the links and of the flange.
 pub(crate) fn columns(arm: &SerialArm, poses: &[Pose; JOINTS + 1]) -> [Six; JOINTS] {
     let tip = poses[JOINTS].position_m;
     let mut columns = [[0.0; 6]; JOINTS];

@@ -13,10 +13,12 @@
 //! acceleration_scaling = 0.05
 //! jerk_limited = false        # true: accelerations rise and fall no faster than jerk_rad_s3
 //! jerk_rad_s3 = 4.3           # of all joints, not scaled
-//! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
+//! # urdf = "arm.urdf"         # another arm than the Gen3 (build
+//! with `--features urdf`); then also give poses
 //! # packages = [".."]         # folders that hold the packages of its meshes
 //!
-//! [ros2]                      # the ROS 2 settings of the robot; a configuration overrides them; see robots/*.toml
+//! [ros2]                      # the ROS 2 settings of the robot;
+//! a configuration overrides them; see robots/*.toml
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
 //! name = "table"
@@ -85,7 +87,8 @@ pub struct Scene {
     /// The robot's profile for the driver of a real robot; this crate does not interpret it.
     #[serde(default)]
     pub ros2: toml::Table,
-    /// The bundled hands that `demo` plays in this scene; none means those of the paper's six motions.
+    /// The bundled hands that `demo` plays in this scene;
+    /// an empty value selects the hands for the paper's six motions.
     #[serde(default)]
     pub demo: Option<String>,
 }
@@ -110,7 +113,7 @@ pub struct BaseTable {
     pub mount_m: Point,
 }
 
-/// Minimum jerk limit, with which a stop from full speed at the paper's scaling takes about a second.
+/// Minimum jerk limit. With it, a stop from full speed at the paper's scaling takes about a second.
 pub const JERK_MIN_RAD_S3: f64 = 0.5;
 
 /// Permitted radii of an arm's links.
@@ -181,7 +184,8 @@ pub struct ArmTable {
     pub jerk_limited: bool,
     /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
-    /// Minimum distance of plans from all obstacles at checked configurations; half of it applies between them.
+    /// Minimum distance of plans from all obstacles at checked configurations;
+    /// half of it applies between them.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
@@ -252,7 +256,8 @@ pub struct NamedPose {
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
-    /// Position of the tool's point (without a tool: of the flange), relative to the robot's start on the floor.
+    /// Position of the tool's point (without a tool:
+    /// of the flange), relative to the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,
@@ -300,7 +305,8 @@ impl Scene {
     /// Parses a scene and checks every value.
     ///
     /// # Errors
-    /// The problem, with line and column for the format, or the name of the table for a value.
+    /// Returns the problem, with line and column for an error of format, or with the table's name
+    /// for an invalid value.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let scene: Scene = toml::from_str(text)?;
         scene.check().map_err(SceneError::Value)?;

@@ -32,8 +32,9 @@ impl Solid {
     /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
     ///
     /// The method is Frank and Wolfe's (1956; pairwise steps by Lacoste-Julien and Jaggi 2015).
-    /// It approaches the nearest points of two convex bodies. Each direction on the way may give a plane between them.
-    /// The returned distance is the one that the best plane proves.
+    /// The search approaches the nearest points of two convex bodies.
+    /// Each direction on the way may give a separating plane.
+    /// The returned distance is the one that the best of these planes proves.
     pub fn apart_m(&self, other: &Solid) -> f64 {
         let (Some(first), Some(second)) = (self.points_m.first(), other.points_m.first()) else {
             return f64::INFINITY;

@@ -1,4 +1,5 @@
-//! Objects of a scene that can be gripped: their positions, the object between the fingers, and the held object.
+//! Objects of a scene that can be gripped:
+//! their positions, the object between the fingers, and the held object.
 //!
 //! ```toml
 //! [[object]]
@@ -146,7 +147,7 @@ pub enum ObjectPose {
 }
 
 impl ObjectPose {
-    /// Returns the object's pose relative to the scene's origin, given the flange's pose.
+    /// Returns the object's pose relative to the scene's origin. `flange` is the pose of the flange.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
             ObjectPose::Stands(at) => *at,

@@ -17,7 +17,7 @@ pub enum Mark {
     Begin,
     /// The episode ends and is kept.
     End,
-    /// The current or last episode failed and is discarded, and another one begins.
+    /// The current or last episode failed and is discarded. Another episode begins.
     Again,
     /// The episode is good. If it is in progress, it ends.
     Good,
@@ -107,7 +107,7 @@ pub enum Verdict {
 pub enum Told {
     /// One has begun.
     Begun(usize),
-    /// The episode with this number and duration has ended.
+    /// The episode with this number ended after this duration.
     Ended(usize, u64),
     /// The first episode was discarded, and the second has begun.
     Repeated(usize, usize),

@@ -193,7 +193,7 @@ impl<'b, D: Door> Session<'b, D> {
 pub struct Summary {
     /// Virtual time passed.
     pub seconds: f64,
-    /// Every gesture event in the order of occurrence.
+    /// All gesture events in the order of occurrence.
     pub gestures: Vec<GestureRecord>,
     /// Arm motions that reached their pose, in the order of occurrence.
     pub poses_reached: Vec<PoseRecord>,

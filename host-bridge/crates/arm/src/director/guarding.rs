@@ -1,4 +1,5 @@
-//! Permits motion of base and arm only while both can still stop: the director's part of [`crate::plan::guard`].
+//! Permits motion of base and arm only while both can still stop:
+//! the director's part of [`crate::plan::guard`].
 
 use host_robot::{Base, BaseState, Motion, Reading, Report, Robot, Trajectory, Twist};
 
@@ -101,7 +102,7 @@ impl<R: Robot> Director<R> {
         self.allowed = twist;
         self.robot.drive(twist);
         if halt_arm {
-            // Whichever part of a motion is running, the rest of it does not follow.
+            // Whichever part of a motion is running, its remaining parts are cancelled.
             self.jog.needs_neutral = true;
             self.halt_motion();
             self.robot.halt_arm();

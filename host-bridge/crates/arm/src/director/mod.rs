@@ -1,10 +1,11 @@
 //! The arm director, which connects the bridge with any robot.
 //!
-//! The director resolves names to goals, plans from the reported pose, monitors base and arm, and reports results.
+//! The director resolves names to goals, plans from the reported pose, monitors base and arm,
+//! and reports results.
 //! A motion of several steps is planned as a whole, and it ends as a whole if one step fails.
 //! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!
-//! Without a scene, the arm moves through home in straight lines in joint space, as in the paper.
+//! Without a scene, the arm moves via its home pose in straight lines in joint space, as in the paper.
 //! In a scene, motions are planned around its boxes, and the [guard](crate::plan::guard) rejects motion
 //! that could not stop in time.
 
@@ -53,7 +54,7 @@ fn still_moves(twist: Twist) -> bool {
 enum Site {
     /// A scene, in which motions are planned.
     Scene(Arc<Planner>),
-    /// The robot with nothing around it, where there is no scene: a hand must not move its arm into itself.
+    /// A robot without a scene, whose arm must still not collide with the robot itself.
     Bare(Arc<World>),
 }
 
@@ -99,7 +100,7 @@ pub struct Director<R> {
     site: Site,
     now_ms: u64,
     running: Option<Running>,
-    /// Where motions are planned, and the one that is.
+    /// The way in which motions are planned, and the motion that is being planned.
     how: How,
     planning: Option<Planning>,
     /// Tool and objects, as far as known.
@@ -121,20 +122,20 @@ pub struct Director<R> {
 }
 
 impl<R: Robot> Director<R> {
-    /// Creates a director without a scene: the arm moves through home.
+    /// Creates a director without a scene, in which the arm moves via its home pose.
     pub fn new(robot: R, motions: Motions) -> Self {
         let world = World::new(SerialArm::gen3(), Scene::default());
         Director::with(robot, motions, Site::Bare(Arc::new(world)))
     }
 
-    /// Creates a director in a scene, where neither base nor arm touches anything.
+    /// Creates a director for a scene, in which neither base nor arm touches anything.
     pub fn in_scene(robot: R, motions: Motions, planner: Arc<Planner>) -> Self {
         Director::with(robot, motions, Site::Scene(planner))
     }
 
     fn with(robot: R, motions: Motions, site: Site) -> Self {
         let mut things = site.world().start().clone();
-        // The robot has not reported this yet.
+        // The robot has not yet reported the finger distance.
         things.opening_m = None;
         Director {
             robot,
@@ -202,8 +203,9 @@ impl<R: Robot> Director<R> {
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
         self.robot.hear(now_ms);
-        // In a scene, the guard checks after each tick, however long this program was paused.
-        // After a pause in which every robot has come to rest by itself, the rest of the pause is a single step.
+        // In a scene, the guard checks after each tick, however long this program was suspended.
+        // After a pause in which every robot has come to rest by itself, the rest
+        // of the pause is a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
             let looks = self.site.planner().is_some() && self.now_ms < looks_until_ms;

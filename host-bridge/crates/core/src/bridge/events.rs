@@ -82,7 +82,7 @@ pub enum EventKind {
         /// Age of the sample.
         age_ms: u64,
     },
-    /// Bends changed the caps.
+    /// Bends of the fingers changed the caps.
     Caps {
         /// Bends of the index finger.
         index: u8,

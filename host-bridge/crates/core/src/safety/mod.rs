@@ -3,9 +3,11 @@
 //! Glossary
 //! * **hand**: one board. It is *connected* from its first hello until the end of the session.
 //!   A silent hand is not forgotten; it prevents motion until it returns.
-//! * **awaited**: a hand that was announced and has not sent a hello.
-//!   Until it does, nothing moves, because the other hand must not drive without the one that can stop it.
-//! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`]. Older samples never move the robot.
+//! * **awaited**: a hand that was announced but has not sent a hello.
+//!   Until its hello arrives, nothing moves, because the other hand must not drive
+//!   without the one that can stop it.
+//! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`].
+//!   Older samples never move the robot.
 //! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
 //! * **neutral**: a left hand within its dead zone, or a right hand whose best label is rest.
 //!   Neutral counts only on a prompt link.
@@ -87,11 +89,13 @@ impl Default for SafetyTimes {
 ///                                                             │ both fingers, stop key
 ///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
 /// ```
-/// Only in `Armed` does anything move. Leaving it halts base and arm. `Stale` is reached by time alone.
-/// A stopped robot stays stopped whatever the links do. A robot that refuses by itself (`Refused`, from every state
-/// but `Stopped`) is `Waiting` again when it does not any more, and neutral is needed; no release goes past it.
-/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`; so does a right hand
-/// that does not rest while the left one is lent.
+/// Motion is possible only in `Armed`. Leaving this state halts base and arm.
+/// `Stale` is reached by time alone.
+/// A stopped robot stays stopped, whatever the links do.
+/// A robot that refuses by itself leads to `Refused` from every state except `Stopped`.
+/// When it no longer refuses, the state is `Waiting`, and neutral is required; no release skips this.
+/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`.
+/// The same happens if the right hand does not rest while the left hand is lent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
@@ -179,12 +183,12 @@ impl Safety {
         self.state == State::Armed && self.left.connected
     }
 
-    /// The left hand is lent to the arm; whether it moves it depends on the state.
+    /// Returns whether the left hand is lent to the arm. The state determines whether the hand moves the arm.
     pub fn is_lent(&self) -> bool {
         self.lent
     }
 
-    /// Where the left hand points while it may move the arm's tool.
+    /// Returns where the left hand points, if it may move the arm's tool.
     pub fn jogging(&self) -> Option<Pointing> {
         (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
@@ -210,7 +214,8 @@ impl Safety {
         watch.connected.then(|| now_ms.saturating_sub(watch.sample_ms))
     }
 
-    /// Processes one event. `now_ms` is the laptop's clock. If it steps back, the machine's time stands still.
+    /// Processes one event. `now_ms` is the laptop's clock.
+    /// If it steps back, the machine's time stands still.
     #[must_use = "an action that is not carried out may leave the robot moving"]
     pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
         let mut actions = Vec::new();
@@ -371,8 +376,8 @@ impl Safety {
         }
     }
 
-    /// Returns whether all connected hands are live and the left hand has been neutral until now,
-    /// for a second at `time_ms`.
+    /// Returns whether all connected hands are live,
+    /// and the left hand has been neutral for a second at `time_ms`.
     /// Without a left hand, the right hand must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
