@@ -127,8 +127,8 @@ impl Piece {
     }
 }
 
-/// Returns the distance by which a capsule protrudes from a hull, measured perpendicular
-/// to the hull's planes.
+/// Returns the distance by which a capsule protrudes from a hull.
+/// The distance is measured perpendicular to the hull's planes.
 fn out_m(capsule: &Capsule, planes: &[Plane]) -> f64 {
     let beyond =
         |(normal, at): &Plane| normal.dot(capsule.a_m).max(normal.dot(capsule.b_m)) + capsule.radius_m - at;

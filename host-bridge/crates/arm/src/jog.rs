@@ -6,8 +6,8 @@
 //! Near a singularity, the joints slow down instead of racing.
 //! A joint near its limit moves no faster than the speed from which it can still stop,
 //! and the other joints compensate.
-//! If a joint would still be too fast, all joints are slowed by the same factor, so that the
-//! tool stays on its line.
+//! If a joint would still be too fast, all joints are slowed by the same factor.
+//! The tool therefore stays on its line.
 
 use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints, Motion};
 

@@ -168,8 +168,8 @@ impl SerialArm {
 
     /// Returns an equivalent pose whose continuous joints are close to their current angles.
     /// The path is therefore short.
-    /// Joints never turn by more than one revolution in either direction, because descriptions
-    /// of such arms end there.
+    /// Joints never turn by more than one revolution in either direction,
+    /// because descriptions of such arms end there.
     /// One such description is ros2_kortex's.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
@@ -229,8 +229,8 @@ impl SerialArm {
     /// If the result is 0 or less, the position may be within reach.
     /// The function also detects positions whose orientation turns the last link away.
     ///
-    /// The flange's pose determines the last joint's origin and axis, and therefore the circle
-    /// of the previous joint.
+    /// The flange's pose determines the last joint's origin and axis,
+    /// and therefore the circle of the previous joint.
     /// The arm's base determines the circle of the second joint.
     /// The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {

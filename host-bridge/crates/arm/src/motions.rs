@@ -19,9 +19,8 @@
 //! joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
 //! ```
 //!
-//! Positions are those of the tool's point, relative
-//! to the point on the floor between the wheels: x forward, y left,
-//! z up.
+//! Positions are those of the tool's point: x forward, y left, z up.
+//! They are relative to the point on the floor between the wheels.
 //! Moves and turns are straight lines unless `straight = false`;
 //! positions are reached freely unless `straight = true`.
 //! The straight steps directly before and after a gripper step may touch the object and its support.

@@ -13,12 +13,10 @@
 //! acceleration_scaling = 0.05
 //! jerk_limited = false        # true: accelerations rise and fall no faster than jerk_rad_s3
 //! jerk_rad_s3 = 4.3           # of all joints, not scaled
-//! # urdf = "arm.urdf"         # another arm than the Gen3 (build
-//! with `--features urdf`); then also give poses
+//! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
 //! # packages = [".."]         # folders that hold the packages of its meshes
 //!
-//! [ros2]                      # the ROS 2 settings of the robot;
-//! a configuration overrides them; see robots/*.toml
+//! [ros2]                      # the ROS 2 settings of the robot; a configuration overrides them; see robots/*.toml
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
 //! name = "table"
@@ -256,8 +254,8 @@ pub struct NamedPose {
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
-    /// Position of the tool's point (without a tool:
-    /// of the flange), relative to the robot's start on the floor.
+    /// Position of the tool's point, or of the flange if there is no tool.
+    /// It is relative to the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,
@@ -305,8 +303,8 @@ impl Scene {
     /// Parses a scene and checks every value.
     ///
     /// # Errors
-    /// Returns the problem, with line and column for an error of format, or with the table's name
-    /// for an invalid value.
+    /// Returns the problem. An error of format is given with its line and column,
+    /// and an invalid value with the name of its table.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let scene: Scene = toml::from_str(text)?;
         scene.check().map_err(SceneError::Value)?;

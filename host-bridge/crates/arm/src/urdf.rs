@@ -1,10 +1,10 @@
 //! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
 //! Shapes of `<collision>` (boxes, cylinders, capsules and spheres) become capsules that enclose them.
-//! These shapes include links fixed to the arm beside its chain, and meshes
-//! that [`crate::urdf_meshes`] could read.
-//! Other meshes are reported ([`SerialArm::notes`]) and replaced by lines
-//! of a given radius to the next joints.
+//! These shapes include links that are fixed to the arm beside its chain,
+//! and meshes that [`crate::urdf_meshes`] could read.
+//! Other meshes are reported ([`SerialArm::notes`]).
+//! Lines of a given radius to the next joints replace them.
 //! If no joint follows, a ball replaces them. Moving links without shapes are treated alike;
 //! fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.

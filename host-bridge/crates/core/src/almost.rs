@@ -98,8 +98,8 @@ mod tests {
         ["idle", "circle", "wave", "other"].map(str::to_owned).to_vec()
     }
 
-    /// Returns the reports for these probabilities of `circle`, if the board detects a gesture
-    /// in hop number `fires`.
+    /// Returns the reports for these probabilities of `circle`.
+    /// The board detects a gesture in hop number `fires`.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();

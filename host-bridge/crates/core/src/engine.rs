@@ -5,10 +5,8 @@
 //! and session files (`replay`).
 //!
 //! ```text
-//! advance(now):  the robot moves up to now ─► hands speak,
-//! their bytes are received ─► what boards need is sent
-//!                ─► the bridge decides ─► a motion
-//!   that was planned meanwhile begins ─► the robot is handed what was decided
+//! advance(now):  the robot moves up to now ─► hands speak, their bytes are received ─► what boards need is sent
+//!                ─► the bridge decides ─► a motion that was planned meanwhile begins ─► the robot is handed what was decided
 //!                ─► observers look
 //! receive(hand, bytes, now), stop_key(now), release_key(now): at once, between two turns
 //! ```

@@ -48,8 +48,8 @@ pub trait Observer {
     /// Called just before the bridge processes an operator's key or button.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
-    /// Called just before the bridge learns that the robot refuses to move, or
-    /// with `None` when the refusal ends.
+    /// Called just before the bridge learns that the robot refuses to move,
+    /// and with `None` when the refusal ends.
     fn refused(&mut self, _time_ms: u64, _reason: Option<&str>) {}
 
     /// Called when the session advances between inputs.

@@ -96,8 +96,8 @@ impl TiltDrive {
             && (0.05..=1.0).contains(&self.angular_most)
     }
 
-    /// Returns fractions of the caps for forward speed and left turns, each from -1
-    /// to 1; zero without a command.
+    /// Returns fractions of the caps for forward speed and left turns.
+    /// Each is from -1 to 1, and zero without a command.
     pub fn shares(&self, pointing: Pointing) -> (f64, f64) {
         if !pointing.heading.is_command() {
             return (0.0, 0.0);

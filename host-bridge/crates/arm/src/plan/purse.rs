@@ -6,8 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Maximum number of checks for one motion, over all its steps.
 /// `run` plans beside the thread that stops the robot. In virtual time, the session waits for the plan.
-/// The test `a_motion_is_planned_or_refused_within_its_checks`
-/// in tests/plan_scenes.rs prints the time that this takes.
+/// The test `a_motion_is_planned_or_refused_within_its_checks` prints the time that this takes.
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
 /// The remaining checks of a motion:
@@ -50,8 +49,8 @@ impl Purse {
         self.spent.set(self.spent.get() + checks);
     }
 
-    /// Returns the number of checks made, which may slightly exceed the budget because
-    /// of the reason for a refusal.
+    /// Returns the number of checks made.
+    /// It may slightly exceed the budget, because finding the reason for a refusal takes further checks.
     pub fn spent(&self) -> u64 {
         self.spent.get()
     }

@@ -158,8 +158,8 @@ impl Bridge {
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
         for hand in Hand::BOTH {
-            // Before the first state, the dead-man's limit of 250 ms also limits the wait
-            // for the first answer to a ping.
+            // Before the first state, the dead-man's limit of 250 ms
+            // also limits the wait for the first answer to a ping.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
             }

@@ -60,8 +60,8 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ceases to refuse motion (because of its e-stop, a fault,
-    /// or clocks that differ).
+    /// The robot itself begins or ceases to refuse motion.
+    /// The cause may be its e-stop, a fault, or clocks that differ.
     Robot {
         /// It refuses.
         refuses: bool,
