@@ -99,7 +99,7 @@ mod tests {
     }
 
     /// Returns the reports for these probabilities of `circle`.
-    /// The board detects a gesture in hop number `fires`.
+    /// If `fires` is given, the board detects a gesture in that hop.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();

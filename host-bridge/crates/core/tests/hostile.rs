@@ -5,7 +5,8 @@
 //!
 //! The test knows the true time of each sample, and checks after every step:
 //! * there is no command unless the bridge is armed,
-//! * a command follows the heading of a sample of at most 250 ms (plus the current turn of the loop),
+//! * a command follows the heading of a sample that is at most 250 ms old,
+//!   plus the current turn of the loop,
 //! * the bridge arms only after at least three consecutive neutral samples that span 100 ms.
 
 mod support;

@@ -21,7 +21,7 @@ impl MotionName {
     pub const HOME: &'static str = "home";
     /// A special name that ends the current motion instead of starting one.
     pub const END_ARM: &'static str = "end-arm";
-    /// The name for the tool's motion by the left hand, which is not a motion of the configuration.
+    /// The name for the motion of the tool by the left hand. The configuration contains no such motion.
     pub const JOG: &'static str = "jog";
 
     /// The name.
@@ -105,7 +105,7 @@ pub enum NotStarted {
     /// Another one runs.
     #[error(transparent)]
     Busy(#[from] Busy),
-    /// The motion would not be safe, or the robot is not ready; the text has the reason and a remedy.
+    /// The motion would not be safe, or the robot is not ready. The text contains the reason and a remedy.
     #[error("{0}")]
     Refused(String),
 }
@@ -200,7 +200,7 @@ pub trait Door {
     }
 
     /// Moves the tool at this speed, in the arm's base frame, as far as limits and guard allow.
-    /// A live bridge repeats the speed; a value older than a quarter of a second counts as zero.
+    /// A live bridge repeats the speed. A value older than a quarter of a second counts as zero.
     fn jog(&mut self, _tool_m_s: DVec3) {}
 
     /// Returns whether a motion was planned elsewhere and waits for its start.
@@ -211,7 +211,7 @@ pub trait Door {
     /// Begins the planned motion, if it is still permitted.
     fn begin_planned(&mut self) {}
 
-    /// Brings base and arm to rest within their limits; targets are forgotten.
+    /// Brings base and arm to rest within their limits, and discards their targets.
     fn halt(&mut self);
 
     /// Brings only the arm to rest within its limits.

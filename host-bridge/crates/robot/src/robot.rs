@@ -87,8 +87,9 @@ pub enum End {
 /// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
 /// No method may block.
 pub trait Robot {
-    /// Reads what the robot has sent until `now_ms`, the time of this turn; [`Robot::step`] may then reach it in several steps.
-    /// A remote robot's messages must not be dated earlier than they arrived.
+    /// Reads what the robot has sent until `now_ms`, the time of this turn.
+    /// Afterwards, [`Robot::step`] may advance to this time in several steps.
+    /// The messages of a remote robot must not be dated earlier than their arrival.
     fn hear(&mut self, _now_ms: u64) {}
 
     /// Advances the time to `now_ms`.
@@ -129,7 +130,8 @@ pub trait Robot {
     /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
-    /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
+    /// Returns how long before its effect a change of a running trajectory must be sent;
+    /// see [`Robot::follow_on`].
     ///
     /// # Errors
     /// The reason why the trajectory cannot be changed, with a remedy.
@@ -137,7 +139,7 @@ pub trait Robot {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
 
-    /// Changes the rest of the running trajectory, from `from_s` of its own time on.
+    /// Changes the remainder of the running trajectory, from `from_s` of its own time on.
     /// `from_s` is at least [`Robot::ahead_ms`] from now. Until then, the new trajectory must equal the old one.
     /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
@@ -159,7 +161,7 @@ pub trait Robot {
     /// Brings base, arm and gripper to rest within their limits.
     fn halt(&mut self);
 
-    /// Returns the distance between the fingers in m, or `None` without a gripper or a report.
+    /// Returns the distance between the fingers in m, or `None` if there is no gripper or no report.
     fn opening_m(&self) -> Option<Reading<f64>> {
         None
     }
@@ -185,7 +187,7 @@ pub trait Robot {
         None
     }
 
-    /// Stops the fingers at their current position, and never opens them.
+    /// Stops the fingers at their current position. This function never opens the fingers.
     fn halt_gripper(&mut self) {}
 
     /// Returns the longest time between a command and its effect.
@@ -208,7 +210,7 @@ pub trait Robot {
         Vec::new()
     }
 
-    /// Returns messages for the user, each of them once.
+    /// Returns messages for the user. Each message is returned once.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
     }

@@ -3,7 +3,7 @@
 use host_robot::Trajectory;
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
-/// Maximum time between two points, in addition to the instants at which the acceleration changes.
+/// Maximum time between two points. Further points mark the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
 /// Controllers require strictly increasing times.
 const LEAST_STEP_S: f64 = 0.001;

@@ -24,7 +24,7 @@ impl Watch {
         tasks.map(|task| task.path()).filter(|task| is_ours(task)).collect()
     }
 
-    /// Monitors the threads that started after `before` was taken with [`Watch::running`].
+    /// Monitors the threads that started after `before` was recorded with [`Watch::running`].
     pub fn since(before: &[PathBuf]) -> Self {
         Watch { threads: Watch::running().into_iter().filter(|task| !before.contains(task)).collect() }
     }

@@ -1,12 +1,14 @@
-//! Connects to the right hand over Bluetooth Low Energy: finds it by its service and reconnects automatically.
+//! Connects to the right hand over Bluetooth Low Energy.
+//! The link finds the board by its service, and reconnects.
 //!
 //! btleplug handles the system's Bluetooth (on Linux, BlueZ over D-Bus).
 //! The frames form two byte streams: notifications from the board, and writes to the board.
-//! Writes are confirmed, and a board that requires a bonded link refuses the first one.
+//! Writes are confirmed. A board that requires a bonded link refuses the first write.
 //!
 //! Only boards that are bonded with this machine are connected. The system encrypts the link before the first byte.
 //! A device that merely advertises therefore cannot impersonate a board.
-//! With `allow_unbonded`, any device in range could impersonate one; `Config::restriction` then limits the session.
+//! With `allow_unbonded`, any device in range could impersonate a board;
+//! `Config::restriction` then limits the session.
 
 use std::cell::Cell;
 use std::future::Future;
@@ -212,7 +214,7 @@ impl<I: Copy> Radio<I> {
         let over = async {
             let why = self.over().await;
             if was_open.get() {
-                // Waits so that the connection can detect its end and disconnect first.
+                // This wait gives the connection time to detect its end and to disconnect first.
                 tokio::time::sleep(FAREWELL * 2).await;
             }
             why

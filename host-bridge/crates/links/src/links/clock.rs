@@ -81,7 +81,7 @@ fn since_boot_ms() -> u64 {
     time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
 }
 
-/// Counts from the first call. `std` uses Windows' performance counter, which includes sleep.
+/// Returns the time since the first call. `std` uses Windows' performance counter, which includes sleep.
 #[cfg(not(unix))]
 fn since_boot_ms() -> u64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();

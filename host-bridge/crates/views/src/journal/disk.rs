@@ -22,7 +22,7 @@ use host_topics::{ENCODING, Entry, Origin, Outlet, SCHEMA_ENCODING, Teller, Topi
 const QUEUE: usize = 8192;
 /// Interval at which messages in memory are written.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-/// Size of messages in memory at which they are written earlier.
+/// If the messages in memory exceed this size, they are written earlier.
 const CHUNK_BYTES: u64 = 1 << 20;
 /// Maximum waiting time for the end of writing.
 const POLL: Duration = Duration::from_millis(50);
@@ -45,7 +45,7 @@ pub struct Kept {
     pub bytes: u64,
     /// Messages that were dropped.
     pub lost: u64,
-    /// The reason if the file ends early.
+    /// The reason, if the file ends too early.
     pub problem: Option<String>,
 }
 
@@ -212,7 +212,8 @@ struct Work<S: Storage> {
 }
 
 impl<S: Storage> Work<S> {
-    /// Writes until the queue is closed or the disk fails. Returns the number of messages and the length of the file.
+    /// Writes until the queue is closed or the disk fails.
+    /// Returns the number of messages and the file's length.
     fn run(mut self, queue: &Receiver<Entry>) -> (u64, u64) {
         let written = self.write_all(queue).and_then(|()| self.writer.finish().map(drop));
         // After a failure, the file already has its end.
@@ -304,7 +305,7 @@ impl Outlet for Queue {
             }
             return;
         }
-        // The note about missing messages precedes the next message, in the place of the missing ones.
+        // The note about missing messages takes the place of these messages, before the next message.
         if self.missing > 0 && self.try_send(self.origin.lost(entry.time_ms, self.missing)) {
             self.missing = 0;
         }

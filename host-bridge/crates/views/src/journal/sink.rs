@@ -2,7 +2,8 @@
 //!
 //! The last chunk is followed by the shortest valid end.
 //! The next chunk overwrites this end, with a new end, in a single write.
-//! After a kill or on a full disk, the file is therefore readable up to the last chunk, and only lacks the index.
+//! After a kill or on a full disk, the file is therefore readable up to its last chunk.
+//! Only the index is missing.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -24,7 +25,7 @@ pub(super) const END: [u8; 50] = {
     end
 };
 
-/// The required operations of a file. The tests implement one that fails.
+/// The operations that a file must support. The tests implement a file that fails.
 pub trait Storage {
     /// Writes all bytes at this position.
     ///
