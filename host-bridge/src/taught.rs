@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Number of decimals, which corresponds to about a micrometre at the tip of an arm.
+/// Number of decimals. It corresponds to about a micrometre at the tip of an arm.
 const DIGITS: usize = 6;
 
 /// The pose cannot be written.
@@ -24,7 +24,7 @@ pub enum TaughtError {
     ByPlace(String),
 }
 
-/// Returns the text with this pose: an existing one gets new angles, and a new one is appended.
+/// Returns the text with this pose. An existing pose gets new angles, and a new pose is appended.
 ///
 /// # Errors
 /// Returns [`TaughtError`]. The file's text is unchanged in this case.

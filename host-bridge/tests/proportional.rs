@@ -16,7 +16,7 @@ use shared_dsp::left::tilt::{Tilt, TiltDetector};
 use shared_proto::message::{Heading, TiltThresholds};
 use support::{Rig, Virtual as _, moving};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The additional time is a margin for the frame in transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The remaining time is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 /// Caps at the start of a session, in m/s and rad/s.
@@ -55,7 +55,7 @@ impl Wearer {
     }
 }
 
-/// Returns the fraction of the cap according to the default rules, which apply between 140 and 698 mrad.
+/// Returns the fraction of the cap by the default rules, which apply between 140 and 698 mrad.
 fn share(mrad: i16) -> f64 {
     f64::from(mrad - 140) / 558.0
 }

@@ -11,7 +11,7 @@ use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::topics::Origin;
 use host_bridge::web::{DEFAULT_PORT, Web, WebError, WebOptions};
 
-/// Whether and where to serve the page.
+/// Options that determine whether and where the page is served.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct WebArgs {
     /// Show the session on a page for the browser, on 127.0.0.1 (port 8042; 0 = any free one)
@@ -54,7 +54,7 @@ impl WebArgs {
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Access options also imply the page, unless they belong to Foxglove.
+        // Access options also imply the page, unless they belong only to Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));

@@ -1,8 +1,9 @@
 //! A common time for boards, cables and programs, in steps of a millisecond.
 //!
-//! A step ends when every board has run for a millisecond and every thread of every program waits for a later time.
+//! A step ends when every board has run for a millisecond,
+//! and every thread of every program waits for a later time.
 //! The programs' part is `test_clock.rs` (feature `test-clock`).
-//! Between two steps the time stands still, so a busy machine slows a test down but causes no delay within it.
+//! Between two steps, the time stands still. A busy machine slows a test down, but causes no delay within it.
 
 use std::cell::{Cell, RefCell};
 use std::io::{ErrorKind, Read as _, Write as _};
