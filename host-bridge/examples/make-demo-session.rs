@@ -83,8 +83,7 @@ fn left_script() -> Vec<Act> {
 }
 
 /// Calculates the final pose of the base and the final cap.
-/// Each command contributes its speed (at the current cap) multiplied by
-/// its duration.
+/// The contribution of each command is its speed (at the current cap) multiplied by its duration.
 fn plan(acts: &[Act]) -> (Odometry, f64) {
     // Delay from the start of closing the fingers to the stop.
     // It consists of half the closing time, 20 ms of debouncing and 300 ms of holding.

@@ -46,8 +46,8 @@ pub enum HandInput {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Exchanges the hands. `left` is then the port of the gesture board,
-    /// and `right` the port of the tilt board.
+    /// Exchanges the hands.
+    /// Then `left` is the port of the gesture board, and `right` is the port of the tilt board.
     pub left_handed: bool,
     /// The ports of the boards.
     pub ports: Ports,

@@ -8,7 +8,7 @@
 //!
 //! Inputs are read in bounded portions. Outputs are sent without waiting, or dropped.
 //! No terminal, file, pipe or socket can therefore delay a stop.
-//! When the thread ends, either normally or by a panic, it halts the robot.
+//! When the thread ends, the robot is halted, even if the thread panicked.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};

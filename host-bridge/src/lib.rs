@@ -1,5 +1,5 @@
 //! The laptop's part of the two-hand interface: the configuration, the demo and recorded sessions.
-//! It also contains the code that connects all crates.
+//! This crate also contains the code that connects all crates.
 //!
 //! ```text
 //! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → director → robot

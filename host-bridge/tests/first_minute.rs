@@ -1,5 +1,5 @@
-//! Tests the first minute. An unknown wearer shows each gesture three times,
-//! and the board gets a model of this hand.
+//! Tests the first minute. An unknown wearer shows each gesture three times.
+//! The board then gets a model of this hand.
 //! The tests run in virtual time, with the boards' own code and simulated wearers.
 
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! Tests inverse kinematics: which poses it solves or rejects,
-//! and how many steps the solver takes in each case.
+//! Tests inverse kinematics: which poses it solves or rejects.
+//! The test also measures how many steps the solver takes in each case.
 //! The test prints the processor times of this thread, but does not check them:
 //! `cargo test --release -p host-bridge --test plan_ik -- --nocapture`.
 

@@ -80,7 +80,7 @@ fn the_base_drives_a_figure_of_eight_by_tilts_alone() {
     }
     wearer.hold(0, 0, 1000);
     let end = wearer.rig.robot.odometry();
-    // Each point is on one of two circles that touch at the start.
+    // Each point must be on one of two circles that touch each other at the start.
     // The tolerance covers the time to reach full speed and to change direction.
     let off = |x: f64, y: f64, side: f64| (x.hypot(y - side * radius_m) - radius_m).abs();
     let worst_m =

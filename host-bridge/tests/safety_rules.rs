@@ -466,7 +466,7 @@ fn stop_halts_base_and_arm_and_resets_the_caps() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5);
     rig.run(REST_MS + 200);
     assert!(rig.robot.at_rest());
-    // A tilt, neutral, waiting and other gestures do not release the stop.
+    // The stop is not released by a tilt, by neutral, by waiting, or by other gestures.
     rig.take_moved();
     rig.point(Heading::Forward, 1000);
     rig.point(Heading::Neutral, 5000);

@@ -401,8 +401,8 @@ fn in_a_scene_a_pause_of_this_program_does_not_set_the_robots_clock_ahead_and_th
             now_ms += CYCLE_MS;
             cycle(&mut door, &mut controller, now_ms, false);
         }
-        // The clock is estimated from the messages of the last two seconds,
-        // so the pause still has an effect here.
+        // The clock is estimated from the messages of the last two seconds.
+        // The pause therefore still has an effect here.
         for k in 0..50 {
             now_ms += CYCLE_MS;
             cycle(&mut door, &mut controller, now_ms, true);

@@ -10,7 +10,7 @@ use host_bridge::topics::Origin;
 #[cfg(feature = "mcap")]
 use host_bridge::journal::{Disk, SceneText, Setup, WhenFull};
 
-/// Options that determine whether and where the session file is written.
+/// Whether and where to write the session file.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct KeepArgs {
     /// Record the session to a new file, for `replay FILE.mcap`, Foxglove and ROS tools

@@ -11,7 +11,7 @@ use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::topics::Origin;
 use host_bridge::web::{DEFAULT_PORT, Web, WebError, WebOptions};
 
-/// Options that determine whether and where the page is served.
+/// Whether and where to serve the page.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct WebArgs {
     /// Show the session on a page for the browser, on 127.0.0.1 (port 8042; 0 = any free one)

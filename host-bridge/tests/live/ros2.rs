@@ -462,8 +462,8 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
-            // The displayed angles must equal the reported angles exactly,
-            // so they cannot come from the simulator.
+            // The displayed angles must equal the reported angles exactly.
+            // They therefore cannot come from the simulator.
             // The newest report before that time counts, with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {

@@ -501,7 +501,8 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
     for verb in &verbs {
         for sink in ["| true", "| head -c 1", "> /dev/full", "> /dev/full 2> /dev/full", ">&- 2>&-"] {
             let mut shell = Command::new("bash");
-            // With this option, the shell returns the program's exit code instead of that of the pipeline's last command.
+            // With this option, the shell returns the program's exit code,
+            // and not the exit code of the pipeline's last command.
             shell.args(["-c", &format!("{PROGRAM} {verb} {sink}; exit ${{PIPESTATUS[0]}}")]);
             let (status, told) = desk.start(shell).end();
             assert!(status.code() != Some(101) && !told.contains("panicked"), "{verb} {sink}: {told}");

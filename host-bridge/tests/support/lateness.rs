@@ -70,7 +70,8 @@ impl Lateness {
     /// Returns whether times measured since the start can be judged.
     /// Nine of ten sleeps must have ended within 2 ms.
     /// In 90 % of the intervals of 0.1 s, work at normal priority must have left some processor time.
-    /// The second condition is necessary because a mostly idle thread wakes in time even on a fully loaded machine.
+    /// The second condition is necessary,
+    /// because a mostly idle thread wakes in time even on a fully loaded machine.
     pub fn was_quiet(&self) -> bool {
         at_most(0.9, self.seen().taken, "work of ordinary priority takes") && self.woke_in_time()
     }

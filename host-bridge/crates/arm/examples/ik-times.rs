@@ -1,6 +1,6 @@
 //! Solves the inverse kinematics of three arms for 1,000 reachable places each.
 //! The program prints the numbers of successes and the times.
-//! It also writes the places, so that `tests/arms/kdl.py` can check the results.
+//! The program also writes the places, so that `tests/arms/kdl.py` can check the results.
 //!
 //! ```text
 //! cargo run --release -p host-arm --features urdf --example ik-times -- FOLDER

@@ -62,7 +62,7 @@ pub const FLANGE_LINK: &str = "end_effector_link";
 pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
 /// Origin of each joint (and, last, of the flange) in its parent's frame:
-/// metres, followed by quarter turns about x.
+/// the values are metres, followed by quarter turns about x.
 const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, 0.15643], 2),
     ([0.0, 0.005375, -0.12838], 1),
@@ -90,7 +90,7 @@ type Ends = ([f64; 3], [f64; 3], f64);
 ///
 /// Each capsule is the smallest one around all vertices of its mesh in kortex_description, plus 0.4 mm.
 /// The bracelet has no vision module. Capsules are convex, so they enclose the faces.
-/// `tests/arm_hulls.rs` checks them.
+/// The test `tests/arm_hulls.rs` checks the capsules.
 const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
     ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),

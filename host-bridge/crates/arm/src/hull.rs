@@ -1,8 +1,8 @@
 //! Convex hulls of meshes, and capsules that enclose them (feature `urdf`).
 //!
 //! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull.
-//! Each point is first moved by less than [`JOGGLE`]
-//! times the extent of all points, so that no three points lie on a line and no four lie in a plane.
+//! Before this, each point is moved by less than [`JOGGLE`] times the extent of all points.
+//! Then no three points lie on a line, and no four points lie in a plane.
 //! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick.
@@ -69,7 +69,7 @@ type Plane = (DVec3, f64);
 struct Piece {
     points: Vec<Point>,
     capsule: Capsule,
-    /// The distance by which the capsule protrudes from the whole hull.
+    /// The distance by which the capsule protrudes from the complete hull.
     out_m: f64,
 }
 
@@ -79,7 +79,8 @@ impl Piece {
         Piece { points: points.to_vec(), capsule, out_m: out_m(&capsule, planes) }
     }
 
-    /// Returns the piece's parts if a cut by one plane, or by two that cross, reduces the protrusion.
+    /// Returns the piece's parts, if a cut reduces the protrusion.
+    /// A cut uses one plane, or two planes that cross.
     fn cut(&self, planes: &[Plane], room: usize) -> Option<Vec<Piece>> {
         if self.out_m <= OUT_MAX_M || room < 2 {
             return None;
@@ -229,7 +230,7 @@ struct Hull {
 }
 
 impl Hull {
-    /// Computes the hull of these points, or an upright box around them if that fails.
+    /// Computes the hull of these points. If that fails, the result is an upright box around the points.
     fn around(points: &[Point]) -> Hull {
         let mut points = points.to_vec();
         points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
@@ -265,7 +266,7 @@ impl Hull {
 
 struct Face {
     corners: [usize; 3],
-    /// The faces across each edge, from a corner to the next.
+    /// The neighbouring face across each edge. The edges lead from one corner to the next.
     beside: [usize; 3],
     normal: DVec3,
     at: f64,
@@ -332,7 +333,7 @@ impl Quickhull {
         self.faces[face].normal.dot(self.points[point]) - self.faces[face].at
     }
 
-    /// Assigns a point to the first face, counted from `from`, that it lies beyond.
+    /// Assigns a point to the first face, counted from `from`, that has the point on its outside.
     /// A point inside is discarded.
     fn give(&mut self, point: usize, from: usize) {
         let sees = (from..self.faces.len()).find(|face| self.beyond(*face, point) > 1e-12);
@@ -367,7 +368,7 @@ impl Quickhull {
     }
 
     /// The point that is furthest beyond a face becomes a corner of the hull.
-    /// `None` means that rounding prevents this.
+    /// The result `None` means that rounding prevents this.
     fn reach_out(&mut self, face: usize) -> Option<()> {
         let far = |a: &&usize, b: &&usize| self.beyond(face, **a).total_cmp(&self.beyond(face, **b));
         let point = *self.faces[face].outside.iter().max_by(far)?;
@@ -423,7 +424,7 @@ mod tests {
         found.iter().map(|c| from_line_m(point, c) - c.radius_m).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the corners, and as many random points between them.
+    /// Returns the corners, and the same number of random points between them.
     fn dense(corners: &[Point], random: &mut Random) -> Vec<Point> {
         let mut points = corners.to_vec();
         for _ in 0..3000 {

@@ -1,7 +1,7 @@
 //! Inverse kinematics: finds joint angles for a position and an orientation of the flange.
 //!
-//! The method is damped least squares (Nakamura and Hanafusa 1986),
-//! with more damping after an unsuccessful step.
+//! The method is damped least squares (Nakamura and Hanafusa 1986).
+//! After an unsuccessful step, the damping is increased.
 //! The solver restarts from seeded random angles.
 //! The budget counts steps and collision checks ([`Budget`]), not time.
 //! Equal calls therefore give equal results on any machine.
@@ -23,10 +23,10 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// Takes much less than 0.2 s of one core.
+    /// This budget takes much less than 0.2 s of one core.
     pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
 
-    /// Limits the steps to the remaining ones in the purse.
+    /// Limits the steps to those that remain in the purse.
     #[must_use]
     pub fn within(self, purse: &Purse) -> Self {
         Budget { steps: self.steps.min(usize::try_from(purse.left()).unwrap_or(usize::MAX)), ..self }

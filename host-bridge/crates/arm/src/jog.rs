@@ -1,5 +1,5 @@
-//! The arithmetic of jogging:
-//! converts the tool's speed to joint speeds, and computes how joints change their speed.
+//! The arithmetic of jogging.
+//! It converts the tool's speed to joint speeds, and computes how joints change their speed.
 //! The director describes the purpose of jogging and its checks.
 //!
 //! The method is damped least squares (Nakamura and Hanafusa 1986).

@@ -55,7 +55,7 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// The joints in order from the foot; there are one to eight.
+    /// The joints in order from the foot. An arm has one to eight joints.
     pub joints: Vec<ArmJoint>,
     /// Position of the flange in the last joint's frame, in m.
     pub flange_m: Point,
@@ -168,9 +168,8 @@ impl SerialArm {
 
     /// Returns an equivalent pose whose continuous joints are close to their current angles.
     /// The path is therefore short.
-    /// Joints never turn by more than one revolution in either direction,
-    /// because descriptions of such arms end there.
-    /// One such description is ros2_kortex's.
+    /// Joints never turn by more than one revolution in either direction.
+    /// Descriptions of such arms (for example ros2_kortex's) end there.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -211,7 +210,7 @@ impl SerialArm {
     /// Returns the limits with scaled speeds and accelerations (0 to 1; the paper uses 0.1 and 0.05).
     /// Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
-        // A missing joint never moves, but its limits must not be zero because they are used as divisors.
+        // A missing joint never moves. Its limits must not be zero, because they are used as divisors.
         let mut limits = JointLimits {
             velocity_rad_s: [1.0; JOINTS],
             acceleration_rad_s2: [1.0; JOINTS],
@@ -257,9 +256,9 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it.
+    /// Returns, for each joint, the maximum distance in m from its origin to any further point of the arm.
     /// A turn by an angle moves no point further than the angle times this distance.
-    /// For a sliding joint, the value is 1, because each point moves exactly as far as the joint.
+    /// For a sliding joint, the value is 1, because each point moves as far as the joint does.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }
@@ -327,7 +326,7 @@ mod tests {
             nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
         }
         assert!(nearest_m <= 1e-12, "{nearest_m}");
-        // If the arm points straight up, it can hardly stretch further.
+        // An arm that points straight up can hardly stretch further.
         let mut straight = arm.flange_pose(&[0.0; JOINTS]);
         assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
         straight.position_m.z += 0.01;

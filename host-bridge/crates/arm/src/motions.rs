@@ -20,13 +20,13 @@
 //! ```
 //!
 //! Positions are those of the tool's point: x forward, y left, z up.
-//! They are relative to the point on the floor between the wheels.
+//! The positions are relative to the point on the floor between the wheels.
 //! Moves and turns are straight lines unless `straight = false`;
 //! positions are reached freely unless `straight = true`.
 //! The straight steps directly before and after a gripper step may touch the object and its support.
 //!
 //! A pose is also a motion: `--map wave="above the cup"`.
-//! A later pose replaces an earlier one with the same name.
+//! A later pose replaces an earlier pose with the same name.
 //! A pose with the name of a motion replaces that motion's steps.
 
 use host_robot::shape::Point;
@@ -121,7 +121,7 @@ pub fn is_grasp(name: &str) -> bool {
     GRASPS.iter().any(|(known, _)| *known == name)
 }
 
-/// Maximum number of steps, because a complete motion is planned before it starts.
+/// Maximum number of steps. The limit exists because all steps are planned before the motion starts.
 const STEPS_MAX: usize = 32;
 /// Maximum duration of a waiting step.
 const WAIT_MAX_S: f64 = 60.0;

@@ -182,8 +182,8 @@ pub struct ArmTable {
     pub jerk_limited: bool,
     /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
-    /// Minimum distance of plans from all obstacles at checked configurations;
-    /// half of it applies between them.
+    /// Minimum distance of plans from all obstacles at checked configurations.
+    /// Half of this margin applies between them.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
@@ -255,7 +255,7 @@ pub struct NamedPose {
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
     /// Position of the tool's point, or of the flange if there is no tool.
-    /// It is relative to the robot's start on the floor.
+    /// The position is relative to the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,

@@ -5,7 +5,7 @@ use host_robot::{DVec3, Pose};
 
 /// Maximum number of steps in the search for a plane between two bodies.
 const STEPS: usize = 80;
-/// The search ends when the plane is this close to the best possible one, in m.
+/// The search ends when the plane is within this distance of the best possible plane, in m.
 const GOOD_M: f64 = 2e-4;
 
 /// The convex hull of some points, enlarged by a radius.
@@ -54,7 +54,7 @@ impl Solid {
             let along = parts.iter().map(|(part, _)| part.dot(direction)).enumerate();
             let Some((furthest, _)) = along.max_by(by) else { break };
             let (from, share) = parts[furthest];
-            // The weight of the furthest corner moves to the nearest one, as far as this helps.
+            // Moves as much weight as useful from the furthest corner to the nearest corner.
             let step = nearest - from;
             let length = step.length_squared();
             if length == 0.0 {

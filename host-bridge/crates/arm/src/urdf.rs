@@ -4,9 +4,9 @@
 //! These shapes include links that are fixed to the arm beside its chain,
 //! and meshes that [`crate::urdf_meshes`] could read.
 //! Other meshes are reported ([`SerialArm::notes`]).
-//! Lines of a given radius to the next joints replace them.
-//! If no joint follows, a ball replaces them. Moving links without shapes are treated alike;
-//! fixed links only add shapes.
+//! For meshes that were not read, lines of a given radius lead to the next joints.
+//! If no joint follows, a ball replaces such a mesh.
+//! Moving links without shapes are treated alike; fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};
@@ -29,7 +29,7 @@ pub struct Missing {
     pub tip: Option<String>,
     /// Radius of the lines that replace links without simple shapes.
     pub link_radius_m: f64,
-    /// Acceleration of joints for which the file specifies none (URDF 1.2 permits one).
+    /// Acceleration of joints for which the file gives no acceleration (URDF 1.2 permits one).
     pub acceleration_rad_s2: f64,
     /// Speed of continuous joints for which the file specifies no limits.
     pub velocity_rad_s: f64,

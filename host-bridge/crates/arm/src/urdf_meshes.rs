@@ -17,7 +17,7 @@ use host_robot::DVec3;
 pub struct Alone {
     /// The URDF.
     pub text: String,
-    /// The number of meshes that were read, and notes for users about those that were not.
+    /// The number of meshes that were read, and notes for users about meshes that were not read.
     pub notes: Vec<String>,
 }
 

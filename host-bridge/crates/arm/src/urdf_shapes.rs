@@ -5,7 +5,7 @@ use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, Pose};
 use urdf_rs::{Collision, Geometry, Joint, JointType, Robot};
 
-/// Reads shapes of links, and records the ones that were not read.
+/// Reads shapes of links, and records the shapes that were not read.
 pub struct Shapes<'r> {
     robot: &'r Robot,
     chain: &'r [&'r Joint],

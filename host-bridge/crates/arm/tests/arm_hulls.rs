@@ -1,9 +1,9 @@
 //! Checks that the Gen3's capsules and the bundled tools enclose the makers' meshes.
 //!
 //! The test contains a few vertices that are far from each capsule's line.
-//! Hulls of the complete meshes may be available in `../shared/data/arm-hulls`,
-//! which is not part of this project.
-//! If they are available, the test checks all their vertices.
+//! Hulls of the complete meshes may be available in `../shared/data/arm-hulls`.
+//! That folder is not part of this project.
+//! If these hulls are available, the test checks all their vertices.
 
 use std::path::Path;
 

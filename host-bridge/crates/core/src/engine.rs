@@ -1,7 +1,8 @@
 //! The engine of all sessions: receive, decide, act, observe, always in this order.
 //!
 //! The engine is sans-IO: its inputs are bytes and the time.
-//! Three drivers use it: virtual time ([`crate::session`]), the wall clock (the program's control thread),
+//! Three drivers use the engine:
+//! virtual time ([`crate::session`]), the wall clock (the program's control thread),
 //! and session files (`replay`).
 //!
 //! ```text
@@ -25,7 +26,7 @@ use crate::source::{HandKey, Source};
 
 /// Interval at which unacknowledged settings are sent again.
 const SET_UP_INTERVAL_MS: u64 = 1000;
-/// The engine numbers its own requests from 1, anew after each start of a board.
+/// The engine numbers its own requests from 1. The numbers start again after each start of a board.
 /// Requests of other programs have this number or a higher one.
 pub const FOREIGN_REQUESTS: u16 = 0x4000;
 
@@ -179,7 +180,7 @@ impl<'b, D: Door> Engine<'b, D> {
     }
 
     /// Begins or ends the time in which the wearer shows gestures for training.
-    /// No gesture has an effect meanwhile.
+    /// Meanwhile, no gesture has an effect.
     pub fn show_key(&mut self, is_shown: bool, now_ms: u64) {
         let key = if is_shown { OperatorKey::Show } else { OperatorKey::Shown };
         self.tap.show(|observer| observer.operated(now_ms, key));
@@ -270,7 +271,7 @@ impl<'b, D: Door> Engine<'b, D> {
     /// Returns the events. Data to be sent waits in [`Engine::take_outgoing`].
     pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
         let ready = ready.into();
-        // The robot moves first, because after a pause of this program it has stopped by itself.
+        // The robot moves first. After a pause of this program, the robot has already stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
         for hand in Hand::BOTH {

@@ -19,9 +19,9 @@ pub enum Mark {
     End,
     /// The current or last episode failed and is discarded. Another episode begins.
     Again,
-    /// The episode is good. If it is in progress, it ends.
+    /// The episode is good. An episode in progress ends.
     Good,
-    /// The episode is bad and discarded. If it is in progress, it ends.
+    /// The episode is bad and discarded. An episode in progress ends.
     Bad,
 }
 

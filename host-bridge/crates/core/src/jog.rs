@@ -1,13 +1,13 @@
 //! The clutch: a gesture or a key lends the left hand to the arm, and takes it back.
 //!
-//! While the left hand is lent, the base stands still, tilts move the tool horizontally,
-//! and bends move it up and down.
+//! While the left hand is lent, the base stands still, and tilts move the tool horizontally.
+//! Bends of the fingers move the tool up and down.
 //! The right hand's rest is the dead-man: as soon as that hand does not rest, the arm brakes.
 //! After every halt of the arm, both hands must be neutral before the arm moves again.
 //! Only three things return the left hand to the base:
 //! the clutch, the operator's stop, and the end of the arm's motion.
-//! Silence, doubt, a restarted hand or a temporary refusal by the robot never do;
-//! otherwise, the same hand would suddenly drive the base.
+//! Silence, doubt, a restarted hand or a temporary refusal by the robot never do.
+//! Otherwise, the same hand would suddenly drive the base.
 
 use host_robot::DVec3;
 use serde::{Deserialize, Serialize};

@@ -293,7 +293,7 @@ impl HandLink {
     }
 
     fn pong(&mut self, pong: &Pong, now_ms: u64) {
-        // An answer is useless if a later one has overtaken it or if no ping matches.
+        // An answer is useless if a later answer has overtaken it, or if no ping matches.
         let Some(at) = self.pings.iter().position(|&(id, _)| id == pong.id) else { return };
         let Some((_, sent_ms)) = self.pings.drain(..=at).next_back() else { return };
         if self.clock.pong(pong.board_time_ms, sent_ms, now_ms) {

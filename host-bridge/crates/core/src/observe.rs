@@ -34,8 +34,8 @@ use shared_words::Heading;
 
 /// Observes a session. The module documentation lists the rules.
 pub trait Observer {
-    /// Called with bytes from a hand's board, in the received portions,
-    /// just before the bridge processes them.
+    /// Called with bytes from a hand's board, in the received portions.
+    /// This happens just before the bridge processes the bytes.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
 
     /// Called with a frame that is sent to a hand's board.
@@ -48,8 +48,8 @@ pub trait Observer {
     /// Called just before the bridge processes an operator's key or button.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
-    /// Called just before the bridge learns that the robot refuses to move,
-    /// and with `None` when the refusal ends.
+    /// Called just before the bridge learns that the robot refuses to move.
+    /// When the refusal ends, the reason is `None`.
     fn refused(&mut self, _time_ms: u64, _reason: Option<&str>) {}
 
     /// Called when the session advances between inputs.
@@ -59,8 +59,8 @@ pub trait Observer {
     /// Called for each event of the session.
     fn happened(&mut self, _event: &SessionEvent) {}
 
-    /// Called with the state after each step:
-    /// every millisecond in a played session, every turn in a live one.
+    /// Called with the state after each step.
+    /// This means every millisecond in a played session, and every turn in a live session.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
@@ -76,7 +76,7 @@ impl Tap {
         self.observers.push(observer);
     }
 
-    /// Removes all observers. Any data they still hold is passed on now at the latest.
+    /// Removes all observers. They must pass on any remaining data now.
     pub fn clear(&mut self) {
         self.observers.clear();
     }
@@ -196,8 +196,8 @@ pub struct Snapshot {
     pub jogging: bool,
     /// The reason why the tool does not follow the hand, or `None`.
     pub jog_held: Option<String>,
-    /// The reason why the robot itself refuses to move, if it does:
-    /// its e-stop, a fault, or clocks that differ.
+    /// The reason why the robot itself refuses to move, if it does.
+    /// The cause may be its e-stop, a fault, or clocks that differ.
     pub refusal: Option<String>,
     /// The restriction of this session and its reason.
     pub restriction: Option<String>,

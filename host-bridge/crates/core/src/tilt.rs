@@ -85,8 +85,8 @@ impl TiltDrive {
         angular_most: 1.0,
     };
 
-    /// Returns whether the dead zone is positive, a wrist can reach the full tilt,
-    /// and no fraction is above 1.
+    /// Returns whether the dead zone is positive, and a wrist can reach the full tilt.
+    /// In addition, no fraction may be above 1.
     pub fn is_sound(&self) -> bool {
         (35..=349).contains(&self.dead_mrad)
             && self.full_mrad <= 1309

@@ -188,8 +188,8 @@ fn pings_that_go_unanswered_for_500_ms_halt_a_hand_that_goes_on_talking() {
 
 #[test]
 fn a_link_that_becomes_slow_stops_within_its_limit_and_stays_stopped() {
-    // When the drift allowance reduced the age, the test with a delay of 1.5 s failed:
-    // the age was zero after 129 s of its five minutes.
+    // When the drift allowance reduced the age, the test with a delay of 1.5 s failed.
+    // After 129 s of its five minutes, the age was zero.
     let up: Delay = |now| if now < 5000 { 5 } else { 1500 };
     for drift_ppm in [-50_000, 0, 50_000] {
         let mut street = Street::new(up, none, drift_ppm);

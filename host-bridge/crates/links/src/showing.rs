@@ -1,5 +1,5 @@
-//! A wearer shows each gesture a few times,
-//! and the board receives a model trained on these gestures. Sans-IO.
+//! A wearer shows each gesture a few times.
+//! The board then receives a model trained on these gestures. Sans-IO.
 //!
 //! ```text
 //! Asking ─Ok─► Ready ⇄ Taking … ─► Back ─Ok─► Learning ─model─► Sending ─► Kept ─restart─► over
@@ -21,8 +21,8 @@ use crate::upload::{Stage, Upload};
 pub const TIMES: usize = 3;
 /// Duration of one take, counted from the word "now".
 const TAKE_MS: u64 = 3000;
-/// Time to get ready for another gesture (first value),
-/// and for a repetition of the same gesture (second value).
+/// Time to get ready.
+/// The first value is for another gesture, and the second value for a repetition of the same gesture.
 const READY_MS: u64 = 3000;
 const AGAIN_MS: u64 = 1200;
 /// A request without an answer is repeated after the first of these times. It fails after the second one.
@@ -57,7 +57,7 @@ pub struct Showing {
     spoilt: u32,
     /// The problem with the last take.
     remark: Option<String>,
-    /// Whether the board is in record mode, as far as is known.
+    /// Whether the board is in record mode, as far as this program knows.
     records: bool,
 }
 

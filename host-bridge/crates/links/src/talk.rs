@@ -239,7 +239,7 @@ impl Talk {
         (counters.frames, counters.damaged())
     }
 
-    /// Returns whether bytes can be sent now. They cannot be sent soon after the port was opened.
+    /// Returns whether bytes can be sent now. This is not possible soon after the port was opened.
     pub fn is_ready(&self) -> bool {
         self.link.is_ready()
     }

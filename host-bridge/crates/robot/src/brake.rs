@@ -60,8 +60,8 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
     }
 }
 
-/// Returns the strongest braking that all joints allow,
-/// and the maximum rate at which it may rise (`None` = unlimited).
+/// Returns the strongest braking that all joints allow.
+/// Also returns the maximum rate at which the braking may rise (`None` = unlimited).
 fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f64>) {
     let (mut brake, mut ramp) = (f64::INFINITY, f64::INFINITY);
     for i in 0..JOINTS {

@@ -182,7 +182,7 @@ pub trait Door {
     /// Advances the time to `now_ms`: the robot moves, the guard checks, and motions end.
     fn step(&mut self, now_ms: u64);
 
-    /// Sets the base's speed as far as the guard allows, and shows that the bridge is alive.
+    /// Sets the base's speed, if the guard allows it, and shows that the bridge is alive.
     fn drive(&mut self, twist: Twist);
 
     /// Starts an arm motion.

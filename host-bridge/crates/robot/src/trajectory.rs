@@ -364,7 +364,7 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
         // The speed is slightly reduced, so that rounded ramps are not longer than the segment.
         return vec![top_of_two_ramps(way, limits) * (1.0 - 1e-12)];
     }
-    // All speeds are reduced until the blends fit, and then each is increased as far as the others allow.
+    // All speeds are reduced until the blends fit. Then each speed is increased as much as the others allow.
     let slowed = |factor: f64| top.iter().map(|s| s * factor).collect::<Vec<_>>();
     let mut speeds = slowed(bisect(|factor| fits(&slowed(factor))));
     for _ in 0..4 {
@@ -499,8 +499,8 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // The values are from Biagiotti and Melchiorri 2008, section 3.4,
-            // for a motion over a distance of 1 from rest to rest.
+            // The values are from Biagiotti and Melchiorri 2008, section 3.4.
+            // The motion covers a distance of 1 from rest to rest.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s

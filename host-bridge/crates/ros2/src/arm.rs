@@ -34,7 +34,7 @@ const CANCEL_PATIENCE_MS: u64 = 5000;
 /// Maximum duration of any goal.
 const STRAY_MS: u64 = 300_000;
 /// A goal may have been reported as finished too early.
-/// Until this long after the planned end, a stop still cancels such a goal.
+/// A stop cancels such a goal until this long after its planned end.
 const UNSURE_MS: u64 = 5000;
 /// Maximum delay of a motion compared with its plan.
 const OVERDUE_MS: u64 = 10_000;
@@ -84,7 +84,7 @@ pub struct ArmLink {
     /// Whether the controller has started the trajectory.
     is_accepted: bool,
     /// The controller's set point at the time when a trajectory was sent.
-    /// It is stored until the start is detected.
+    /// This value is stored until the start is detected.
     wanted_then: Option<Joints>,
     /// The controller's set point.
     wanted: Option<Joints>,
@@ -276,7 +276,7 @@ impl ArmLink {
             .go_on([run, &trajectory], from_s, &self.limits, now_ms, robot_ns)
             .map_err(|Late| "the next piece would come too late".to_owned())?;
         *run = trajectory;
-        // Of two pieces in one turn, the last one counts.
+        // If one turn contains two pieces, only the last piece counts.
         outputs.retain(|output| !matches!(output, Output::Trajectory(_)));
         outputs.push(Output::Trajectory(stream.message(self.angles.names(), points)));
         Ok(())

@@ -23,7 +23,7 @@ const SLACK_RAD: f64 = 0.2;
 const TURNS_MAX: f64 = 16.0;
 /// Maximum age of a controller's state.
 const STATE_MS: u64 = 500;
-/// Maximum distance between the arm and the controller's set point at which a motion may start at the set point.
+/// A motion may start at the controller's set point only if the arm is this close to it.
 const HELD_MAX_RAD: f64 = 0.05;
 /// Tolerance for a speed scaling of 1.
 const SCALING_OFF: f64 = 1e-3;
@@ -38,7 +38,8 @@ pub struct Doubts {
     foreign: usize,
     /// The reported scaling if it is not 1, and its time.
     scaling: Option<(f64, u64)>,
-    /// Whether a scaling other than zero was ever reported. Until then, zero may just be a default value.
+    /// Whether a scaling other than zero was ever reported.
+    /// Before such a report, a scaling of zero may just be a default value.
     is_scaled: bool,
     held: Option<(Joints, u64)>,
 }
@@ -76,7 +77,7 @@ impl Doubts {
     pub fn controller(&mut self, reference: Option<(Joints, Joints)>, scaling: Option<f64>, now_ms: u64) {
         if let Some(scaling) = scaling {
             self.is_scaled |= scaling != 0.0;
-            // The comparison also covers NaN.
+            // The comparison is also correct for NaN.
             let is_one = (scaling - 1.0).abs() <= SCALING_OFF;
             let off = self.is_scaled && !is_one;
             self.scaling = off.then_some((scaling, now_ms));

@@ -1,8 +1,8 @@
 //! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
-//! Each flag is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
-//! A flag also stops them if it has no publisher, has sent no message yet,
-//! or (with a timeout) is silent for too long.
+//! Each flag is a `std_msgs/Bool` of another publisher. While the flag is true, base and arm stop.
+//! Base and arm also stop if the flag has no publisher or has sent no message yet.
+//! With a timeout, they also stop if the flag is silent for too long.
 //! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -68,7 +68,7 @@ impl Inputs {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
             // A publisher that has disappeared cannot revoke its message.
-            // The next existing publisher revokes it.
+            // The next existing publisher revokes that message.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }

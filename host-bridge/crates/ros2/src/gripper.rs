@@ -188,7 +188,7 @@ impl GripperLink {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                // With two servers, the other one may execute the goal.
+                // With two servers, the second server may execute the goal.
                 GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {

@@ -265,7 +265,7 @@ impl Joined {
         name_of(&self.participant.guid().to_bytes())
     }
 
-    /// Publishes speeds with the other type from now on.
+    /// From now on, publishes speeds with the other message type.
     ///
     /// # Errors
     /// Returns [`NodeError`] if the topic cannot be created.

@@ -55,7 +55,7 @@ pub enum ArmWay {
 /// The result of sending a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// It is on its way.
+    /// The message is on its way.
     Yes,
     /// The message replaces an older message that had not been sent yet and will not be sent.
     Instead,
@@ -79,8 +79,8 @@ pub struct Unsent {
     pub failed: u64,
 }
 
-/// The node's entities on the graph. **No function waits**:
-/// a message that cannot be accepted at once is refused.
+/// The node's entities on the graph. **No function waits**.
+/// A message that cannot be accepted at once is refused.
 pub trait Transport: Send {
     /// Returns all other participants on the graph.
     fn graph(&mut self) -> Graph;
@@ -90,7 +90,7 @@ pub trait Transport: Send {
     fn take(&mut self, came: &mut dyn FnMut(Came));
     /// Whether speeds are stamped.
     fn is_stamped(&self) -> bool;
-    /// Publishes speeds with the other type from now on.
+    /// From now on, publishes speeds with the other message type.
     ///
     /// # Errors
     /// Fails if the topic cannot be created.
@@ -145,8 +145,8 @@ pub trait Voice: Send {
     fn has_simulator(&self) -> bool;
     /// Ceases to publish the simulator's state.
     fn end_simulator(&mut self);
-    /// Publishes the simulator's URDF, also for late subscribers,
-    /// at the first call or at as many calls as necessary.
+    /// Publishes the simulator's URDF, also for late subscribers.
+    /// This happens at the first call, or takes as many calls as necessary.
     fn describe(&mut self, urdf: &str);
     /// The simulator's state.
     fn simulate(&mut self, joints: ros::JointState, odometry: ros::Odometry, frames: ros::TfMessage);

@@ -72,8 +72,8 @@ messages! {
     "bimanual_msgs/Hands" Hands {
         /// Time of day.
         header: Header,
-        /// State of the dead-man. If the robot refuses to move,
-        /// or the session is restricted, the reason follows.
+        /// State of the dead-man. The reason follows if the robot refuses to move,
+        /// or if the session is restricted.
         safety: String,
         /// Pitch of the left hand.
         pitch_rad: f64,

@@ -51,8 +51,8 @@ impl Frames {
     }
 }
 
-/// Returns three groups of transforms:
-/// the base in the world, the arm's base on it, and the links with the flange.
+/// Returns three groups of transforms.
+/// They are the base in the world, the arm's base on it, and the arm's links with the flange.
 pub fn transforms(
     robot: &dyn Door,
     picture: &Picture,
@@ -302,8 +302,8 @@ impl Origin {
         Entry::new(Topic::Odometry, now.time_ms, &odometry)
     }
 
-    /// Reports three groups of transforms:
-    /// the base in the world, the arm's base on it, and the links with the flange.
+    /// Reports three groups of transforms.
+    /// They are the base in the world, the arm's base on it, and the arm's links with the flange.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
         let (picture, model) = (now.robot.picture(), now.robot.setting());
         let message =

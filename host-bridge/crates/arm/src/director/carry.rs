@@ -1,4 +1,4 @@
-//! Executes the acts of a motion in sequence, and ends all of them if one fails.
+//! Executes the acts of a motion in sequence. If one act fails, all acts end.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use super::{Director, REST_RAD_S};
 
 /// Maximum distance between the arm and the start of its next trajectory.
 const OFF_MAX_RAD: f64 = 0.03;
-/// Maximum displacement of the base since planning, in m and in rad; a larger one ends the motion.
+/// Maximum displacement of the base since planning, in m and in rad. A larger displacement ends the motion.
 const SHIFTED_MAX: f64 = 0.01;
 /// The commander normally repeats itself several times within this time.
 /// After a longer silence, no act starts by itself.
 pub(super) const SILENCE_MS: u64 = 250;
 /// Minimum change of the finger distance that counts as a loss of the object.
-/// A wider distance means that the object was released; a narrower one means that it was lost.
+/// A wider distance means that the object was released; a narrower distance means that it was lost.
 pub(super) const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
@@ -284,7 +284,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Ends the complete motion, whichever part of it is running.
+    /// Ends the entire motion, whichever part of it is running.
     pub(super) fn halt_motion(&mut self) {
         self.throw_plan_away();
         if let Some(running) = &mut self.running {
@@ -309,7 +309,7 @@ impl<R: Robot> Director<R> {
     }
 }
 
-/// The base is not where it was.
+/// Returns whether the base has moved away from its planned placement.
 pub(super) fn has_shifted(here: Placement, planned: Placement) -> bool {
     (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m) > SHIFTED_MAX
         || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX

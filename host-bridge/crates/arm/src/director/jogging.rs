@@ -34,23 +34,23 @@ const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Minimum interval between messages about an obstacle to the tool; the state always shows the obstacle.
 const NOTES_MS: u64 = 1000;
 
-/// What a hand wants of the tool.
+/// The motion that a hand requests of the tool.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Jog {
     wanted_m_s: DVec3,
-    /// When it was last asked for.
+    /// Time of the last request.
     asked_ms: u64,
     /// A rejected piece is not tried again before this time.
     due_ms: u64,
     /// The reason for a standstill is not reported again before this time.
     tell_ms: u64,
-    /// The tool's orientation when it began to move.
+    /// The tool's orientation when the tool began to move.
     hold: DMat3,
     /// The tool is moved up to this time of the plan, and brakes afterwards.
     until_s: f64,
     /// The tool was stopped; the hand must be neutral before the tool moves again.
     pub(super) needs_neutral: bool,
-    /// What keeps it from moving.
+    /// The reason why the tool does not move.
     pub(super) held: Option<String>,
 }
 
@@ -66,7 +66,7 @@ impl<R: Robot> Director<R> {
     /// Continues in the direction that the hand requests, if it requests one.
     pub(super) fn jog_on(&mut self) {
         if self.now_ms.saturating_sub(self.jog.asked_ms) > SILENCE_MS {
-            // It has to be asked for anew.
+            // Further motion needs a new request.
             self.jog.wanted_m_s = DVec3::ZERO;
         }
         if self.jog.wanted_m_s == DVec3::ZERO || self.jog.needs_neutral || self.now_ms < self.jog.due_ms {
@@ -99,7 +99,7 @@ impl<R: Robot> Director<R> {
         let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
         if here.velocity_rad_s.iter().any(|speed| speed.abs() > REST_RAD_S) {
-            // It will rest in a moment.
+            // The arm will rest in a moment.
             return Ok(false);
         }
         let from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);

@@ -2,12 +2,12 @@
 //!
 //! The director resolves names to goals, plans from the reported pose, monitors base and arm,
 //! and reports results.
-//! A motion of several steps is planned as a whole, and it ends as a whole if one step fails.
+//! A motion of several steps is planned as a unit. If one step fails, the entire motion ends.
 //! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!
 //! Without a scene, the arm moves via its home pose in straight lines in joint space, as in the paper.
-//! In a scene, motions are planned around its boxes, and the [guard](crate::plan::guard) rejects motion
-//! that could not stop in time.
+//! In a scene, motions are planned around its boxes.
+//! The [guard](crate::plan::guard) rejects motion that could not stop in time.
 
 mod carry;
 mod guarding;
@@ -41,7 +41,7 @@ const CATCH_UP_MS: u64 = 10_000;
 /// A joint slower than this counts as at rest, because encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 
-/// The base still moves if it is faster than this, in m/s or rad/s.
+/// If the base is faster than this, it still moves. The value is in m/s and in rad/s.
 const BASE_REST: f64 = 0.01;
 
 /// Returns whether the base has not come to rest yet.
@@ -49,7 +49,7 @@ fn still_moves(twist: Twist) -> bool {
     twist.linear_m_s.abs() > BASE_REST || twist.angular_rad_s.abs() > BASE_REST
 }
 
-/// The arm, and what is around it.
+/// The arm with its surroundings.
 #[derive(Clone, Debug)]
 enum Site {
     /// A scene, in which motions are planned.
@@ -103,7 +103,7 @@ pub struct Director<R> {
     /// The way in which motions are planned, and the motion that is being planned.
     how: How,
     planning: Option<Planning>,
-    /// Tool and objects, as far as known.
+    /// Tool and objects, if they are known.
     things: Things,
     /// Distance between the fingers at the last gripper command, if known.
     grip_before_m: Option<f64>,

@@ -1,7 +1,7 @@
 //! Plans motions on a separate thread, so that the thread that stops the robot never waits.
 //!
 //! While a motion is planned, the arm rests, and stops and the dead-man work as usual.
-//! Each of them discards the plan.
+//! Each of these events discards the plan.
 //! A plan that comes too late is not begun ([`AGE_MAX_MS`]). A plan that no longer fits is not begun either:
 //! objects, fingers and arm must be unchanged.
 //! If the base has moved in the meantime, the path must be clear from its current position.
@@ -51,7 +51,7 @@ type Plan = Result<VecDeque<Act>, String>;
 #[derive(Clone, Debug)]
 pub(super) struct Planning {
     pub(super) motion: MotionName,
-    /// When it was asked for.
+    /// Time of the request for the motion.
     since_ms: u64,
     /// Where the base stood.
     placement: Placement,
@@ -64,14 +64,15 @@ pub(super) struct Planning {
 enum Job {
     Done(Plan),
     Thread(Arc<Thread>),
-    /// There is no thread for it, and so never a plan.
+    /// No thread could be started, so there will never be a plan.
     Never,
 }
 
-/// The planning job. Whoever drops it does not wait for it: the search ends soon, and its plan is discarded.
+/// The planning job. Dropping it does not wait for the thread:
+/// the search ends soon, and its plan is discarded.
 #[derive(Debug)]
 struct Thread {
-    /// `None` in it = the plan failed.
+    /// A value of `None` means that planning failed.
     handle: Mutex<Option<JoinHandle<Option<Plan>>>>,
     /// Set when there is a plan, or a reason why there is none.
     is_done: Arc<AtomicBool>,
@@ -233,7 +234,7 @@ impl<R: Robot> Director<R> {
         self.reports.push(Report::MotionRefused { motion, reason });
     }
 
-    /// Whatever is planned is not begun.
+    /// Discards the plan, whatever is being planned.
     pub(super) fn throw_plan_away(&mut self) {
         if let Some(Planning { motion, .. }) = self.planning.take() {
             self.reports.push(Report::MotionEnded { motion, reached: false });

@@ -90,7 +90,7 @@ pub(super) struct Task {
     draft: Draft,
 }
 
-/// What does not change while it is planned.
+/// The data that does not change during planning.
 #[derive(Debug)]
 struct Plot {
     site: Site,

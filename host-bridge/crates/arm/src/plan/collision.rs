@@ -135,7 +135,7 @@ impl World {
 
     /// Some links touch in any configuration, because the arm's axes meet in a wrist.
     /// Checking such pairs would refuse every motion.
-    /// As in MoveIt's setup, they are ignored.
+    /// As in MoveIt's setup, such pairs are ignored.
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
@@ -192,8 +192,8 @@ impl World {
     }
 
     /// Returns whether two links that are two joints apart can touch within the limits of those joints.
-    /// As in MoveIt's setup, pairs that never touch are ignored,
-    /// because their constant proximity would hide everything else.
+    /// As in MoveIt's setup, pairs that never touch are ignored.
+    /// Their constant proximity would hide everything else.
     fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
@@ -352,7 +352,7 @@ impl World {
     }
 }
 
-/// The scene from the arm's point of view at one placement. It counts the checks.
+/// The scene from the arm's point of view at one placement. This type also counts the checks.
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
@@ -407,7 +407,7 @@ impl<'w> Surroundings<'w> {
         for &(link, shape) in &shapes {
             let part = world.part(link);
             // The fixed base of the arm and its first link stand on the mobile base.
-            // They never come closer to it or to the floor.
+            // They never come closer to the base or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
                 own.tighten(
@@ -454,8 +454,8 @@ impl<'w> Surroundings<'w> {
         nearest
     }
 
-    /// Returns whether a straight line in joint space keeps half the margin everywhere,
-    /// and the full margin at checked configurations.
+    /// Returns whether a straight line in joint space keeps half the margin everywhere.
+    /// The full margin applies at checked configurations.
     /// If no checks remain, the line does not count as clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);

@@ -15,7 +15,7 @@ use host_robot::{JointLimits, Motion};
 /// Duration of a tick of motion, which is checked in steps of a millisecond.
 pub const TICK_MS: u64 = 10;
 
-/// Twice the minimum distance. It is smaller than the planner's (half of its margin, 5 mm).
+/// Twice the minimum distance. This value is smaller than that of the planner (half of its margin, 5 mm).
 pub const MARGIN_M: f64 = 0.004;
 
 /// Base and arm in simultaneous motion.
@@ -81,7 +81,7 @@ impl Guard<'_> {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
         // The robot's own parts are always close to each other.
-        // They are named only if they block the motion, or if nothing else is there.
+        // The closest pair is one of them only if they block the motion, or if nothing else is there.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M || !boxes.distance_m.is_finite());
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));

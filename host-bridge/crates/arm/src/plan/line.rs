@@ -10,7 +10,7 @@ use crate::plan::purse::Purse;
 /// Between them, the error of the line is a fraction of a millimetre.
 const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 0.08;
-/// Maximum rotation of a joint between two points; beyond it, the arm would flip.
+/// Maximum rotation of a joint between two points. Beyond this angle, the arm would flip.
 const JUMP_RAD: f64 = 0.35;
 const STEPS: usize = 80;
 

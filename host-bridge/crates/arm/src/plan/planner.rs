@@ -48,7 +48,7 @@ pub struct Plan {
     pub path_rad: Vec<Joints>,
     /// How it was found.
     pub kind: Kind,
-    /// Time at which it passes home, if it goes there first.
+    /// Time at which the motion passes the home pose, if it goes there first.
     pub home_s: Option<f64>,
     /// Number of complete checks of a configuration.
     pub checks: u64,
@@ -153,7 +153,7 @@ impl Planner {
     fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
-        // This margin is twice the required one, so that plans can reach the pose.
+        // This margin is twice the required margin, so that plans can reach the pose.
         let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });

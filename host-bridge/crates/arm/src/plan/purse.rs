@@ -50,7 +50,8 @@ impl Purse {
     }
 
     /// Returns the number of checks made.
-    /// It may slightly exceed the budget, because finding the reason for a refusal takes further checks.
+    /// This number may slightly exceed the budget,
+    /// because finding the reason for a refusal takes further checks.
     pub fn spent(&self) -> u64 {
         self.spent.get()
     }

@@ -43,7 +43,7 @@ impl Acceptances {
     }
 
     /// Forgets the arm's pending command if its motion was refused or did not reach its end.
-    /// Otherwise the next motion's start would be attributed to it.
+    /// Otherwise, the start of the next motion would be attributed to that command.
     pub(super) fn see(&mut self, report: &Report) {
         if matches!(report, Report::MotionRefused { .. } | Report::MotionEnded { reached: false, .. }) {
             self.asked_ms[Part::Arm as usize] = None;

@@ -1,5 +1,5 @@
-//! The bridge's part of jogging:
-//! which part of the robot the left hand moves, and the tool's requested motion.
+//! The bridge's part of jogging.
+//! It determines which part of the robot the left hand moves, and which motion is requested of the tool.
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 
@@ -75,7 +75,8 @@ impl Bridge {
         })
     }
 
-    /// Returns the motion that the hand requests of the tool now; `None` means that it requests none.
+    /// Returns the motion that the hand now requests of the tool;
+    /// `None` means that the hand requests no motion.
     fn tool_m_s(&self, now_ms: u64) -> Option<DVec3> {
         let pointing = self.safety.jogging()?;
         Some(jog::tool_m_s(&self.jog, &self.drive, pointing, &self.lift, now_ms))

@@ -104,7 +104,8 @@ impl Bridge {
         Bridge { drive, ..self }
     }
 
-    /// Sets why the robot itself refuses to move from now on; `None` means that it no longer refuses.
+    /// Sets the reason why the robot itself refuses to move from now on;
+    /// `None` means that it no longer refuses.
     pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
         let kind = match &refusal {
             Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
@@ -116,8 +117,8 @@ impl Bridge {
         self.apply(safety::Event::Robot { refuses }, now_ms, robot);
     }
 
-    /// Returns whether this text differs from the last one in more than its numbers,
-    /// which change continually.
+    /// Returns whether this text is a new message.
+    /// It is not new if it differs from the last message only in its numbers, which change continually.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
         match (self.refusal(), refusal) {
             (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
@@ -158,8 +159,8 @@ impl Bridge {
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
         for hand in Hand::BOTH {
-            // Before the first state, the dead-man's limit of 250 ms
-            // also limits the wait for the first answer to a ping.
+            // The first answer to a ping must arrive in time for the first state.
+            // Until that state, the dead-man's limit of 250 ms applies.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
             }
@@ -262,8 +263,8 @@ impl Bridge {
         &self.scores
     }
 
-    /// Returns the left hand's newest pitch and roll in milliradians and its heading,
-    /// even if it has no effect.
+    /// Returns the left hand's newest pitch and roll in milliradians and its heading.
+    /// These values are returned even if they have no effect.
     pub fn left_hand(&self) -> (i16, i16, Heading) {
         let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
         (pitch_mrad, roll_mrad, heading)
@@ -346,8 +347,8 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            // Other programs may send requests to the board at the same time.
-            // The answers to those must not hide the session's own.
+            // Other programs may also send requests to the board.
+            // The answers to their requests must not hide the answers to the session's own requests.
             Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
             Heard::Ack(_) => {}
         }
@@ -371,8 +372,8 @@ impl Bridge {
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
         let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
-        // The safety machine does not treat the clutch as a gesture,
-        // because it accepts gestures only while armed.
+        // The safety machine does not treat the clutch as a gesture.
+        // That machine accepts gestures only while armed.
         let clutch = acts.filter(|(_, label)| self.is_clutch(label)).map(|(new, _)| new.age_ms);
         let gesture = acts.filter(|_| clutch.is_none()).map(|(new, label)| safety::Gesture {
             label: new.label,

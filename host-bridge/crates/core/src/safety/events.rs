@@ -32,7 +32,7 @@ pub enum Event {
     Left {
         /// Upper bound of the sample's age.
         age_ms: u64,
-        /// Whether the link's last round trip is recent and short, so that neutral counts.
+        /// Whether the link's last round trip is recent and short. Only then does neutral count.
         prompt: bool,
         /// Whether the health flags permit use of this state.
         healthy: bool,
@@ -51,7 +51,7 @@ pub enum Event {
     Right {
         /// Upper bound of the newest sample's age.
         age_ms: u64,
-        /// Whether the link's last round trip is recent and short, so that rest counts.
+        /// Whether the link's last round trip is recent and short. Only then does rest count.
         prompt: bool,
         /// Whether the health flags permit use of this state.
         healthy: bool,

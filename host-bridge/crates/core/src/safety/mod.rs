@@ -4,8 +4,8 @@
 //! * **hand**: one board. It is *connected* from its first hello until the end of the session.
 //!   A silent hand is not forgotten; it prevents motion until it returns.
 //! * **awaited**: a hand that was announced but has not sent a hello.
-//!   Until its hello arrives, nothing moves, because the other hand must not drive
-//!   without the one that can stop it.
+//!   Until its hello arrives, nothing moves.
+//!   The reason is that the other hand must not drive without the hand that can stop it.
 //! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`].
 //!   Older samples never move the robot.
 //! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
@@ -14,7 +14,7 @@
 //! * **release**: the gesture that ends a stop. It is the gesture that moves the arm home: up-down.
 //!
 //! The machine is sans-IO: [`Safety::step`] takes an event and the time, and returns actions.
-//! It passes bends, gestures and the heading on only while armed. Earlier inputs are discarded.
+//! The machine passes on bends, gestures and the heading only while armed. Earlier inputs are discarded.
 
 mod events;
 mod watch;
@@ -49,7 +49,7 @@ pub use crate::link::ANSWER_PATIENCE_MS;
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
 
-/// The three times above, for users who want stricter ones than the defaults.
+/// The three times above, for users who want stricter times than the defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetyTimes {
@@ -215,7 +215,7 @@ impl Safety {
     }
 
     /// Processes one event. `now_ms` is the laptop's clock.
-    /// If it steps back, the machine's time stands still.
+    /// If that clock steps back, the machine's time stands still.
     #[must_use = "an action that is not carried out may leave the robot moving"]
     pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
         let mut actions = Vec::new();

@@ -148,7 +148,7 @@ impl ModelFile {
 }
 
 /// Reads recordings, converts each to 100 Hz, and joins them without pauses into one recording of `axes` axes.
-/// The notes are those of all recordings, but the start time is that of the first recording.
+/// The notes are those of all recordings. The start time is that of the first recording.
 ///
 /// If a recording has more than `axes` axes, only the first ones are used, as in `models eval`.
 /// At least `needed` axes must exist, and missing ones are 0.

@@ -34,7 +34,7 @@ pub const FROM_BOARD: Uuid = Uuid::from_u128(0xb1a4_0002_6d61_4e75_a1b2_5c3d_9e7
 /// Frames to the board (write).
 pub const TO_BOARD: Uuid = Uuid::from_u128(0xb1a4_0003_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 
-/// First delay before a new search for a board; it doubles each time, up to the maximum.
+/// First delay before a new search for a board. The delay doubles each time, up to the maximum.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LAST_PAUSE: Duration = Duration::from_millis(500);
 /// How long one search for the board lasts.
@@ -205,7 +205,7 @@ impl<I: Copy> Radio<I> {
     }
 
     fn tell(&self, news: News) {
-        // If nobody receives events any more, the program is about to end.
+        // If no thread receives events any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 

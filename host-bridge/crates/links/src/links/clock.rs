@@ -88,7 +88,8 @@ fn since_boot_ms() -> u64 {
     u64::try_from(START.get_or_init(std::time::Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Lets one thread wait for time to pass. While it exists and does not wait, its thread counts as busy.
+/// Lets one thread wait for time to pass.
+/// While the waiter exists and does not wait, its thread counts as busy.
 #[derive(Debug)]
 pub struct Waiter {
     #[cfg(feature = "test-clock")]

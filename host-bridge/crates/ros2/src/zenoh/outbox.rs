@@ -1,5 +1,6 @@
 //! The outbox: each lane has a thread that passes messages to Zenoh. The control thread never waits for the network.
-//! Only the lanes' threads wait (congestion control "block"). Meanwhile, a newer speed replaces the one that waits.
+//! Only the lanes' threads wait (congestion control "block").
+//! Meanwhile, a newer speed replaces a speed that is waiting.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};

@@ -87,8 +87,8 @@ impl Viewer<'_> {
             self.socket.write(Message::text(warning(&told)))?;
         }
         let origin = Origin { nanoseconds: self.shared.session };
-        // Only the messages that wait now are sent,
-        // because the viewer's own messages must be read in between.
+        // Only the messages that wait now are sent.
+        // In between, the viewer's own messages must be read.
         for entry in self.queue.try_iter().take(QUEUE) {
             // If a topic was unsubscribed in the meantime, its messages are not sent.
             if let Some(id) = self.wanted.to(entry.topic) {

@@ -256,7 +256,7 @@ impl<S: Storage> Work<S> {
         let time = self.origin.at(entry.time_ms);
         let header = MessageHeader {
             channel_id: self.channels[entry.topic as usize],
-            // A number across all topics that wraps.
+            // A sequence number for the messages of all topics. It wraps.
             sequence: self.messages as u32,
             log_time: time,
             publish_time: time,
@@ -279,7 +279,7 @@ pub struct Queue {
     when_full: WhenFull,
     origin: Origin,
     time_ms: u64,
-    /// Number of messages dropped since the last one that was accepted.
+    /// Number of messages dropped since the last accepted message.
     missing: u64,
 }
 

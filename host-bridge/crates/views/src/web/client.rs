@@ -1,5 +1,5 @@
 //! The WebSocket of one page. It sends frames as fast as the page accepts them.
-//! It receives `stop`, marks and acknowledgements.
+//! The socket receives `stop`, marks and acknowledgements.
 
 use std::io;
 use std::net::TcpStream;
