@@ -86,7 +86,7 @@ fn left_script() -> Vec<Act> {
 /// The contribution of each command is its speed (at the current cap) multiplied by its duration.
 fn plan(acts: &[Act]) -> (Odometry, f64) {
     // Delay from the start of closing the fingers to the stop.
-    // It consists of half the closing time, 20 ms of debouncing and 300 ms of holding.
+    // The delay consists of half the closing time, 20 ms of debouncing and 300 ms of holding.
     const STOP_DELAY_S: f64 = 0.4;
     let mut place = Odometry::default();
     let mut ordered = acts.to_vec();

@@ -56,7 +56,7 @@ pub struct Config {
     /// Caps on the base's speed.
     pub speed: SpeedRules,
     /// The conversion of a tilt to a speed within these caps.
-    /// It uses the paper's four headings or proportional speeds.
+    /// The speed is one of the paper's four headings, or proportional to the tilt.
     pub drive: TiltDrive,
     /// The rules by which the left hand controls the arm, and the tool's speed in that case. Off by default.
     pub jog: JogRules,

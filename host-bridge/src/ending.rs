@@ -176,8 +176,8 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// The test below runs this function in a separate process,
-    /// because the function affects its entire process.
+    /// The test below runs this function in a separate process.
+    /// The function affects the entire process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

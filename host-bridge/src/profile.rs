@@ -1,5 +1,5 @@
 //! Reads the section `[ros2]` of a scene, which is the profile of a robot on its graph.
-//! Also writes a scene from the information on a graph.
+//! This module also writes a scene from the information on a graph.
 
 use std::path::Path;
 

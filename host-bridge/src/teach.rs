@@ -54,8 +54,8 @@ pub enum Played {
     Interrupted,
 }
 
-/// Plays a single motion. It waits for the robot, requests the motion once,
-/// and halts the robot if there is a problem.
+/// Plays a single motion. It waits for the robot, and requests the motion once.
+/// If there is a problem, it halts the robot.
 #[derive(Clone, Debug)]
 pub struct Play {
     motion: MotionName,

@@ -239,7 +239,7 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     assert!(left.damaged > 50 && right.damaged > 20);
     // Two frames that a damaged delimiter has joined count as a single damaged frame.
     // Damaged frames that do not count as lost are ping replies and status frames.
-    // These have no sequence number.
+    // Ping replies and status frames have no sequence number.
     let unnumbered = summary.seconds as u32 * 11;
     assert!(left.lost > 20 && left.lost + unnumbered / 20 >= left.damaged, "{left:?}");
     assert!(right.lost > 10 && right.lost + unnumbered / 20 >= right.damaged, "{right:?}");

@@ -1,5 +1,5 @@
-//! Tests a gripper on the ROS 2 graph that does not execute its commands,
-//! and halts during a motion of several steps.
+//! Tests a gripper on the ROS 2 graph that does not execute its commands.
+//! Also tests halts during a motion of several steps.
 //! In both cases, the remaining steps must be cancelled and reported.
 //! The tests run in virtual time, with a robot whose replies the test provides.
 

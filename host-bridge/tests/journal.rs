@@ -174,8 +174,8 @@ fn planned_motions_are_the_same_too() {
     assert!(text.contains("Started("), "an arm motion was among it: {text}");
 }
 
-/// Runs a live session with keys for both hands, irregular time steps, pings,
-/// a stop with its release, and a pause.
+/// Runs a live session with keys for both hands, irregular time steps and pings.
+/// The session also contains a stop with its release, and a pause.
 fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, Disk) {
     let mut config = Config::default();
     config.speed.start = 0.3;

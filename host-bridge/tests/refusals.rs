@@ -359,7 +359,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert!(took_ms >= SEARCH_MS);
     assert_eq!(door.robot().simulator.motion(), before, "nothing has moved");
     // The robot refuses during the motion.
-    // It stops within the braking time, and the rest of the motion is cancelled.
+    // The robot stops within the braking time, and the rest of the motion is cancelled.
     let (mut door, refusal, there) = taught();
     let (outcome, ended_ms, _) = play(&mut door, |now_ms| {
         if now_ms == 2000 {

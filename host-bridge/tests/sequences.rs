@@ -64,7 +64,7 @@ fn a_cup_is_picked_up_carried_while_the_base_drives_and_put_down() {
     assert_eq!(ended(&reports), Some(true));
     assert!((robot.picture().opening_m.unwrap() - 0.06).abs() < 1e-9);
     // The bottom of the cup was 70 mm below the point between the fingertips.
-    // Afterwards, it must be there again.
+    // After the motion, the bottom must be there again.
     assert_eq!(cup_mm(&robot), [450.0, 0.0, 680.0]);
     assert_eq!(robot.picture().held, None);
     for _ in 0..100 {

@@ -1,5 +1,5 @@
-//! The files of a wearer are `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`,
-//! and the model `FOLDER/NAME/NAME.tflite` with its accompanying files.
+//! The files of a wearer. The recordings are `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`.
+//! The model is `FOLDER/NAME/NAME.tflite` with its accompanying files.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};

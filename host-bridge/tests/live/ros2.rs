@@ -160,7 +160,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
     // This fast arm may report a goal as reached early.
-    // Such goals are cancelled too, because they might continue.
+    // Goals that were reported early are cancelled too, because they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
@@ -463,7 +463,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
             // The displayed angles must equal the reported angles exactly.
-            // They therefore cannot come from the simulator.
+            // The displayed angles therefore cannot come from the simulator.
             // The newest report before that time counts, with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
@@ -551,8 +551,8 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // The limit is the braking time at the paper's scaling,
-    // plus one cycle of the controllers and one of the observer.
+    // The limit is the braking time at the paper's scaling.
+    // One cycle of the controllers and one cycle of the observer are added.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };

@@ -19,7 +19,7 @@ use crate::program::Desk;
 /// Duration for which the router is stopped, in wall-clock time.
 const STALL: Duration = Duration::from_secs(2);
 /// Maximum time from the router's continuation to zero speed at the robot.
-/// It covers waiting messages and TCP's pauses.
+/// This time covers waiting messages and TCP's pauses.
 const AFTER_STALL_MS: f64 = 1500.0;
 
 /// Creates certificates, and copies the files of docs/zenoh with the paths of these certificates.

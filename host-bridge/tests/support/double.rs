@@ -1,5 +1,5 @@
 //! Simulated boards on a desk. They run the boards' own code with recordings.
-//! Tests can unplug and restart them.
+//! Tests can unplug and restart the boards.
 
 use std::collections::VecDeque;
 use std::path::Path;

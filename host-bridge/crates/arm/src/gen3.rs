@@ -61,8 +61,8 @@ pub const FLANGE_LINK: &str = "end_effector_link";
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
-/// Origin of each joint (and, last, of the flange) in its parent's frame:
-/// the values are metres, followed by quarter turns about x.
+/// Origin of each joint (and, last, of the flange) in its parent's frame.
+/// The values are metres, followed by quarter turns about x.
 const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, 0.15643], 2),
     ([0.0, 0.005375, -0.12838], 1),

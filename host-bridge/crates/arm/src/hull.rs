@@ -2,8 +2,8 @@
 //!
 //! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull.
 //! Before this, each point is moved by less than [`JOGGLE`] times the extent of all points.
-//! Then no three points lie on a line, and no four points lie in a plane.
-//! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
+//! After the move, no three points lie on a line, and no four points lie in a plane.
+//! The error of this move is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick.
 //! A hull is therefore cut by planes as long as each cut reduces the protrusion.
@@ -368,7 +368,7 @@ impl Quickhull {
     }
 
     /// The point that is furthest beyond a face becomes a corner of the hull.
-    /// The result `None` means that rounding prevents this.
+    /// A result of `None` means that rounding errors prevent this step.
     fn reach_out(&mut self, face: usize) -> Option<()> {
         let far = |a: &&usize, b: &&usize| self.beyond(face, **a).total_cmp(&self.beyond(face, **b));
         let point = *self.faces[face].outside.iter().max_by(far)?;

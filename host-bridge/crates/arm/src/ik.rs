@@ -251,7 +251,7 @@ fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
     for i in 0..6 {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            // The damping keeps the diagonal positive, and rounding must not change this.
+            // The damping keeps the diagonal positive, even with rounding errors.
             a[i][j] = if i == j { sum.max(1e-18).sqrt() } else { sum / a[j][j] };
         }
     }

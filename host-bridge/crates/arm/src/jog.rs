@@ -1,11 +1,11 @@
 //! The arithmetic of jogging.
-//! It converts the tool's speed to joint speeds, and computes how joints change their speed.
+//! This module converts the tool's speed to joint speeds, and computes how joints change their speed.
 //! The director describes the purpose of jogging and its checks.
 //!
 //! The method is damped least squares (Nakamura and Hanafusa 1986).
 //! Near a singularity, the joints slow down instead of racing.
 //! A joint near its limit moves no faster than the speed from which it can still stop,
-//! and the other joints compensate.
+//! and the other joints compensate for the difference.
 //! If a joint would still be too fast, all joints are slowed by the same factor.
 //! The tool therefore stays on its line.
 

@@ -223,13 +223,13 @@ impl SerialArm {
         limits
     }
 
-    /// Returns how far the flange's position is beyond the arm's reach,
-    /// as if the middle joints could stretch freely.
+    /// Returns how far the flange's position is beyond the arm's reach.
+    /// The reach is calculated as if the middle joints could stretch freely.
     /// If the result is 0 or less, the position may be within reach.
     /// The function also detects positions whose orientation turns the last link away.
     ///
-    /// The flange's pose determines the last joint's origin and axis,
-    /// and therefore the circle of the previous joint.
+    /// The flange's pose determines the last joint's origin and axis.
+    /// Together, they determine the circle on which the previous joint lies.
     /// The arm's base determines the circle of the second joint.
     /// The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {

@@ -1,5 +1,5 @@
-//! Arm motions and named poses, as data. The paper's six motions are bundled;
-//! scenes and configurations can add more.
+//! Arm motions and named poses, as data. The paper's six motions are bundled.
+//! Scenes and configurations can add more motions.
 //!
 //! ```toml
 //! [[motion]]
@@ -21,8 +21,8 @@
 //!
 //! Positions are those of the tool's point: x forward, y left, z up.
 //! The positions are relative to the point on the floor between the wheels.
-//! Moves and turns are straight lines unless `straight = false`;
-//! positions are reached freely unless `straight = true`.
+//! Moves and turns are straight lines unless `straight = false`.
+//! Positions are reached freely unless `straight = true`.
 //! The straight steps directly before and after a gripper step may touch the object and its support.
 //!
 //! A pose is also a motion: `--map wave="above the cup"`.

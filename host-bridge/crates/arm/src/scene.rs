@@ -85,8 +85,8 @@ pub struct Scene {
     /// The robot's profile for the driver of a real robot; this crate does not interpret it.
     #[serde(default)]
     pub ros2: toml::Table,
-    /// The bundled hands that `demo` plays in this scene;
-    /// an empty value selects the hands for the paper's six motions.
+    /// The bundled hands that `demo` plays in this scene.
+    /// An empty value selects the hands for the paper's six motions.
     #[serde(default)]
     pub demo: Option<String>,
 }
@@ -183,7 +183,7 @@ pub struct ArmTable {
     /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
     /// Minimum distance of plans from all obstacles at checked configurations.
-    /// Half of this margin applies between them.
+    /// Between these configurations, half of this margin applies.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
@@ -303,8 +303,8 @@ impl Scene {
     /// Parses a scene and checks every value.
     ///
     /// # Errors
-    /// Returns the problem. An error of format is given with its line and column,
-    /// and an invalid value with the name of its table.
+    /// Returns the problem. For an error of format, it contains the line and the column.
+    /// For an invalid value, it contains the name of the table.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let scene: Scene = toml::from_str(text)?;
         scene.check().map_err(SceneError::Value)?;

@@ -1,5 +1,5 @@
-//! Objects of a scene that can be gripped:
-//! their positions, the object between the fingers, and the held object.
+//! Objects of a scene that can be gripped.
+//! The module knows their positions, the object between the fingers, and the held object.
 //!
 //! ```toml
 //! [[object]]

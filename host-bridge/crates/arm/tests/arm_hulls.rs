@@ -2,7 +2,7 @@
 //!
 //! The test contains a few vertices that are far from each capsule's line.
 //! Hulls of the complete meshes may be available in `../shared/data/arm-hulls`.
-//! That folder is not part of this project.
+//! The folder `../shared` is not part of this project.
 //! If these hulls are available, the test checks all their vertices.
 
 use std::path::Path;
@@ -168,7 +168,7 @@ fn the_vision_module_is_within_its_tool() {
 }
 
 /// Returns the rotation and the origin of the gripper's parts on the side of +x.
-/// Its driven joint is at this angle.
+/// The gripper's driven joint is at this angle.
 fn finger_parts(angle_rad: f64) -> [(&'static str, DMat3, DVec3); 4] {
     // About 0 -1 0.
     let turn = DMat3::from_rotation_y(-angle_rad);

@@ -4,8 +4,8 @@
 //! Bends of the fingers move the tool up and down.
 //! The right hand's rest is the dead-man: as soon as that hand does not rest, the arm brakes.
 //! After every halt of the arm, both hands must be neutral before the arm moves again.
-//! Only three things return the left hand to the base:
-//! the clutch, the operator's stop, and the end of the arm's motion.
+//! Only three things return the left hand to the base.
+//! They are the clutch, the operator's stop, and the end of the arm's motion.
 //! Silence, doubt, a restarted hand or a temporary refusal by the robot never do.
 //! Otherwise, the same hand would suddenly drive the base.
 
@@ -18,10 +18,10 @@ use crate::tilt::{Pointing, TiltDrive};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JogRules {
-    /// A gesture with this label lends the left hand to the arm, and takes it back;
-    /// an empty label disables this.
+    /// A gesture with this label lends the left hand to the arm, and takes it back.
+    /// An empty label disables this function.
     pub label: String,
-    /// This key has the same effect; an empty key disables it.
+    /// This key has the same effect as the label; an empty key disables it.
     pub key: String,
     /// The tool's speed at full tilt, in m/s. Tilts have a proportional effect, as in `[drive]`.
     pub speed_m_s: f64,

@@ -466,7 +466,7 @@ fn with_drift(board_ms: u64) -> u64 {
 }
 
 /// Removes characters from a board's text that a terminal would interpret.
-/// These are control characters and characters that change the writing direction.
+/// Such characters are control characters, and characters that change the writing direction.
 pub fn printable(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control()

@@ -35,7 +35,7 @@ use shared_words::Heading;
 /// Observes a session. The module documentation lists the rules.
 pub trait Observer {
     /// Called with bytes from a hand's board, in the received portions.
-    /// This happens just before the bridge processes the bytes.
+    /// The call comes just before the bridge processes the bytes.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
 
     /// Called with a frame that is sent to a hand's board.
@@ -60,7 +60,7 @@ pub trait Observer {
     fn happened(&mut self, _event: &SessionEvent) {}
 
     /// Called with the state after each step.
-    /// This means every millisecond in a played session, and every turn in a live session.
+    /// The steps are every millisecond in a played session, and every turn in a live session.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
@@ -117,8 +117,8 @@ pub enum Sample<'a> {
     },
     /// A sample of the right hand's IMU, converted to 100 Hz.
     Right {
-        /// Accelerometer in m/s², then (with 6 values) gyroscope in deg/s,
-        /// then (with 9 values) magnetometer in µT.
+        /// Accelerometer in m/s²; with 6 values, also gyroscope in deg/s;
+        /// with 9 values, also magnetometer in µT.
         values: &'a [f32],
     },
 }
@@ -144,7 +144,7 @@ pub enum OperatorKey {
 /// The state of a session, borrowed.
 #[derive(Clone, Copy)]
 pub struct Now<'a> {
-    /// Time of the session (virtual if it is played).
+    /// Time of the session. In a played session, it is virtual.
     pub time_ms: u64,
     /// State of the links, hands, safety machine and caps.
     pub bridge: &'a Bridge,
@@ -155,7 +155,7 @@ pub struct Now<'a> {
 /// An owned copy of a session's changing state.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Snapshot {
-    /// Time of the session (virtual if it is played).
+    /// Time of the session. In a played session, it is virtual.
     pub time_ms: u64,
     /// State of the safety machine; `stopped` until the operator's stop is released.
     pub safety: State,
@@ -196,7 +196,7 @@ pub struct Snapshot {
     pub jogging: bool,
     /// The reason why the tool does not follow the hand, or `None`.
     pub jog_held: Option<String>,
-    /// The reason why the robot itself refuses to move, if it does.
+    /// The reason why the robot itself refuses to move, or `None` if it does not refuse.
     /// The cause may be its e-stop, a fault, or clocks that differ.
     pub refusal: Option<String>,
     /// The restriction of this session and its reason.

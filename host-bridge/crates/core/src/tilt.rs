@@ -97,7 +97,7 @@ impl TiltDrive {
     }
 
     /// Returns fractions of the caps for forward speed and left turns.
-    /// Each is from -1 to 1, and zero without a command.
+    /// Each fraction is from -1 to 1. Without a command, both are zero.
     pub fn shares(&self, pointing: Pointing) -> (f64, f64) {
         if !pointing.heading.is_command() {
             return (0.0, 0.0);

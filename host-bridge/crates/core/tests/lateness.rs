@@ -1,5 +1,5 @@
-//! Checks that ages are upper bounds:
-//! whatever a link's delays are, no command older than 250 ms has an effect.
+//! Checks that ages are upper bounds.
+//! Whatever a link's delays are, no command older than 250 ms may have an effect.
 //!
 //! The test knows the true time of each sample, and compares it with the time at which the base moves.
 //! The whole test runs in virtual time.

@@ -7,7 +7,7 @@
 //! | `1` … `6` | right | the six gestures in the order of the labels |
 //!
 //! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
-//! Debouncing, the dead-man, the caps and the stop therefore apply to it too.
+//! Debouncing, the dead-man, the caps and the stop therefore apply to keyboard hands too.
 //! A terminal reports key presses and repeats, but no releases.
 //! An arrow counts for [`KeyTimes::first_press_ms`] after the press.
 //! By then, the terminal has begun to repeat the key.

@@ -50,7 +50,7 @@ pub struct Showing {
     /// The number of the next request.
     request: u16,
     phase: Phase,
-    /// Start of the phase, and the time of the last request in it.
+    /// Start of the phase, and the time of the phase's last request.
     since_ms: u64,
     asked_ms: Option<u64>,
     shown: Shown,
@@ -86,8 +86,8 @@ enum After {
 }
 
 impl Showing {
-    /// Creates a request for these gestures. `boot_id` identifies the board's start;
-    /// requests are numbered from `request`.
+    /// Creates a request for these gestures. `boot_id` identifies the board's start.
+    /// The requests are numbered from `request`.
     pub fn new(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
         let phase = if labels.is_empty() {
             Phase::Over("the model knows no gesture that could be shown".to_owned())

@@ -453,7 +453,7 @@ struct TextHeard {
 }
 
 impl TextHeard {
-    /// This many consecutive characters without the byte that ends every frame count as text.
+    /// A run of this many characters without the byte that ends every frame counts as text.
     const LEAST: usize = 8;
 
     fn take(&mut self, bytes: &[u8]) {

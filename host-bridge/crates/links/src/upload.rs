@@ -102,7 +102,7 @@ impl Upload {
     }
 
     /// Returns the message to send now, if any.
-    /// Each message is returned once, and again if no answer arrives.
+    /// Each message is returned once. It is returned again if no answer arrives.
     /// Call [`Upload::unsent`] if the link did not accept the message.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =

@@ -240,7 +240,7 @@ impl Odometry {
         let half_turn = 0.5 * twist.angular_rad_s * dt_s;
         let arc_m = twist.linear_m_s * dt_s;
         // The chord is shorter than the arc by the factor sin(α/2)/(α/2).
-        // Its direction is that of half the turn.
+        // The chord points in the direction of half the turn.
         let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
         let direction = self.heading_rad + half_turn;
         self.x_m += chord_m * direction.cos();

@@ -101,7 +101,8 @@ pub trait Robot {
 
     /// Returns the position at which the controller holds the resting arm.
     /// The position may differ from the reported one by a few hundredths of a radian.
-    /// A motion from this position starts without a jump. `None` means that the robot does not report it.
+    /// A motion from this position starts without a jump.
+    /// `None` means that the robot does not report the position.
     fn held_rad(&self) -> Option<Joints> {
         None
     }

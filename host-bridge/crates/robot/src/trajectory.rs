@@ -234,8 +234,8 @@ impl Trajectory {
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
                 // A blend is centred on its corner.
-                // At the start and at the end, one of the two speeds is zero,
-                // so the arm rests in that half of the blend.
+                // At the start and at the end, one of the two speeds is zero.
+                // The arm therefore rests in that half of the blend.
                 // The motion takes longer by this time.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
@@ -531,8 +531,8 @@ mod tests {
             let halt_s = when * plan.duration_s();
             let halted = plan.motion(halt_s);
             let halting = Trajectory::braking(halted, &limits);
-            // This bound covers the reduction and the build-up of an acceleration, twice each,
-            // and the braking in between.
+            // This bound covers two reductions and two build-ups of an acceleration.
+            // It also covers the braking in between.
             let rise_s = 0.43 / jerk;
             let even_s = 0.1397 / 0.43;
             prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));

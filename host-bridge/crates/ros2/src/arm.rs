@@ -76,8 +76,8 @@ pub struct ArmLink {
     goals: u32,
     /// Abandoned goals that may still be running. Their cancellation is requested.
     strays: Strays,
-    /// Goals that may have been reported as finished too early,
-    /// with the time until which they may still be running.
+    /// Goals that may have been reported as finished too early.
+    /// Each has the time until which it may still be running.
     unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
@@ -340,7 +340,7 @@ impl ArmLink {
             match answer {
                 Answer::Accepted => {
                     // The goal was abandoned long ago, or another server rejected it.
-                    // It must not move the arm now.
+                    // The goal must not move the arm now.
                     self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
@@ -353,7 +353,7 @@ impl ArmLink {
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
             // With two servers or a forged answer,
-            // the motion may still be running although it was reported as finished.
+            // a motion may still be running after a report that it has finished.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);
@@ -672,7 +672,7 @@ mod tests {
         rig.arm.see(&part, rig.now_ms);
         let text = rig.start().unwrap_err();
         assert!(text.contains("joint_7") && !text.contains("joint_1,"), "{text}");
-        // The gripper's joint is reported in a separate message. Some drivers do this.
+        // The gripper's joint is reported in a separate message, as by some drivers.
         let last = JointState { name: vec!["joint_7".into()], position: vec![1.57], ..JointState::default() };
         rig.arm.see(&last, rig.now_ms);
         rig.start().unwrap();

@@ -4,7 +4,7 @@
 //! `stamp - local time` is therefore the clock difference minus the transmission time.
 //! The largest such value of the last seconds is the most accurate one.
 //! A robot that stamps its states late looks like a robot whose clock is behind.
-//! Neither robot is suitable for stamped commands.
+//! Robots of both kinds are unsuitable for stamped commands.
 //!
 //! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 
@@ -259,7 +259,7 @@ mod tests {
                 for stamp in [Stamp::Zero, Stamp::Clock, Stamp::Wall] {
                     let mut clocks = Clocks::default();
                     // The graph's time is wall-clock time or simulated time.
-                    // The robot's time differs from it.
+                    // The robot's time differs from the graph's time.
                     let graph_s = |wall_s: f64| if simulated { wall_s - WALL_S + 10.0 } else { wall_s };
                     for n in 0..200_u64 {
                         let now = WALL_S + n as f64 * 0.01;

@@ -89,7 +89,7 @@ pub struct Ros2Config {
     /// If it is empty, `ZENOH_SESSION_CONFIG_URI` is used, or no file.
     pub zenoh_config: String,
     /// Addresses of the network interfaces to use.
-    /// Empty means all, unless an environment variable restricts them:
+    /// An empty list means all interfaces, unless an environment variable restricts them:
     /// `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]`.
     pub interfaces: Vec<IpAddr>,
     /// Type of speeds: `TwistStamped` (true), `Twist` (false), or `"auto"`.
@@ -123,7 +123,7 @@ pub struct Ros2Config {
     /// Time after which a goal without an answer is abandoned and cancelled.
     pub answer_ms: u64,
     /// The gripper's action, such as `gripper_controller/gripper_cmd`.
-    /// Its type is GripperCommand or ParallelGripperCommand.
+    /// The type of this action is GripperCommand or ParallelGripperCommand.
     /// `"auto"` selects the only action whose name ends in `gripper_cmd`; empty means none.
     pub gripper: String,
     /// Name of the gripper's joint in the joint states; empty if it is not reported.

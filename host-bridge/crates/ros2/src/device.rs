@@ -1,8 +1,9 @@
 //! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
 //! RustDDS binds its listeners to 0.0.0.0, whatever networks are chosen.
-//! Anyone who can reach this machine can therefore send data to them.
-//! On Linux, a socket can be bound to a device later. Other systems do not permit this; a message reports it.
+//! Anyone who can reach this machine can therefore send data to these listeners.
+//! On Linux, a socket can be bound to a device later.
+//! Other systems do not permit this, and a message reports it.
 
 #[cfg(target_os = "linux")]
 pub use linux::{sockets, tie_to_loopback};

@@ -23,7 +23,7 @@ const SLACK_RAD: f64 = 0.2;
 const TURNS_MAX: f64 = 16.0;
 /// Maximum age of a controller's state.
 const STATE_MS: u64 = 500;
-/// A motion may start at the controller's set point only if the arm is this close to it.
+/// A motion may start at the controller's set point only if the arm is within this distance of the set point.
 const HELD_MAX_RAD: f64 = 0.05;
 /// Tolerance for a speed scaling of 1.
 const SCALING_OFF: f64 = 1e-3;
@@ -36,7 +36,7 @@ pub struct Doubts {
     impossible: Option<(String, u64)>,
     /// Number of goals on the controller's action server that other programs sent.
     foreign: usize,
-    /// The reported scaling if it is not 1, and its time.
+    /// The reported scaling with its time, unless the scaling is 1.
     scaling: Option<(f64, u64)>,
     /// Whether a scaling other than zero was ever reported.
     /// Before such a report, a scaling of zero may just be a default value.

@@ -1,5 +1,5 @@
 //! Implements [`Robot`] for the robot on the graph.
-//! It combines the decisions about messages with the node that sends them.
+//! It combines the decisions about messages with the node that sends the messages.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};

@@ -81,7 +81,7 @@ pub struct Joined {
     /// The arm controller's set point and state. The topic is silent while the controller is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
     /// The status of the goals on the arm's action server.
-    /// It is read only if we have no client for that server.
+    /// The status is read only if we have no client for that server.
     pub goals: Option<Subscription<GoalStatusArray>>,
     /// E-stop and fault flag. Each has one subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
@@ -290,7 +290,7 @@ impl Joined {
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
                     // Only the participant's own description is lost;
-                    // its end points still show that the participant exists.
+                    // the participant's end points still show that the participant exists.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });

@@ -24,7 +24,7 @@ use host_topics::message::{self as ros, JointState, JointTrajectory};
 const QUIET_MS: u64 = 250;
 
 /// Maximum time between a command and its reported effect.
-/// It includes the network, the controller's cycle, and the way back.
+/// This time includes the network, the controller's cycle, and the way back.
 const REACTION_MS: u64 = 60;
 
 /// What goes out.
@@ -545,7 +545,7 @@ mod tests {
         robot.see_base(&odometry(0.3, 0.0));
         assert_eq!(robot.take_accepted(), [], "what it had before is not known");
         robot.drive(Twist { linear_m_s: 0.0, angular_rad_s: 0.5 });
-        // The test reports noise first, then a twentieth of the change, and then enough of it.
+        // The test reports noise first, then a twentieth of the change, and then more than a tenth.
         for (turn, expected) in [(-0.01, vec![]), (0.025, vec![]), (0.06, vec![Part::Base]), (0.3, vec![])] {
             robot.see_base(&odometry(0.3, turn));
             assert_eq!(robot.take_accepted(), expected, "{turn} rad/s");

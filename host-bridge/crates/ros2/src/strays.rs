@@ -15,8 +15,8 @@ struct Stray {
     is_said_over: bool,
 }
 
-/// Abandoned goals. Their cancellation is requested until their end is known,
-/// or until a goal's maximum duration.
+/// Abandoned goals, whose cancellation is requested.
+/// The requests end when the goal's end is known, or after the maximum duration of a goal.
 #[derive(Clone, Debug, Default)]
 pub struct Strays(Vec<Stray>);
 
@@ -76,8 +76,8 @@ impl Unsure {
         self.0.push((goal, until_ms));
     }
 
-    /// Processes a stop. `cancel` requests the cancellation of each goal,
-    /// which counts as a stray from now on.
+    /// Processes a stop. `cancel` requests the cancellation of each goal.
+    /// From now on, each goal counts as a stray.
     pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
         for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
             cancel(goal);

@@ -43,7 +43,7 @@ const BRAKE_GRID_S: f64 = 0.02;
 const STEP_MIN_S: f64 = 0.001;
 
 /// An estimate of the robot's clock from the stamps of its reports.
-/// It is never ahead of the robot's own clock.
+/// The estimate is never ahead of the robot's own clock.
 #[derive(Clone, Debug, Default)]
 pub struct RobotClock {
     /// Time of arrival in ms, and the difference between the stamp and our clock in ns.
@@ -275,8 +275,8 @@ mod tests {
         Trajectory::through(&[FROM, to], &[], &limits())
     }
 
-    /// A controller with Jazzy's rules. It samples the last message with cubics at its own time,
-    /// and holds the last point.
+    /// A controller with Jazzy's rules. It samples the last message with cubics at its own time.
+    /// The controller holds the last point.
     struct Controller {
         message: Option<JointTrajectory>,
     }

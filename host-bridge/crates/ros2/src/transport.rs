@@ -112,7 +112,7 @@ pub trait Transport: Send {
     fn cancel(&mut self, ours: u32) -> Sent;
     /// Requests (once) the end of a goal that does not exist.
     fn ask(&mut self);
-    /// Returns the result of that request so far.
+    /// Returns the result of [`Transport::ask`] so far.
     fn probe(&self) -> Probe;
     /// Returns the number of active goals on the action's server that other programs sent.
     fn foreign(&self) -> usize;
@@ -146,7 +146,7 @@ pub trait Voice: Send {
     /// Ceases to publish the simulator's state.
     fn end_simulator(&mut self);
     /// Publishes the simulator's URDF, also for late subscribers.
-    /// This happens at the first call, or takes as many calls as necessary.
+    /// This happens at the first call, or over as many calls as necessary.
     fn describe(&mut self, urdf: &str);
     /// The simulator's state.
     fn simulate(&mut self, joints: ros::JointState, odometry: ros::Odometry, frames: ros::TfMessage);

@@ -99,7 +99,7 @@ pub struct Quality {
 }
 
 impl Quality {
-    /// As most topics have it.
+    /// The quality of service that most topics have.
     pub const RELIABLE: Quality = Quality { reliable: true, transient_local: false, depth: 10 };
     /// The last message is stored for late subscribers.
     pub const LATCHED: Quality = Quality { reliable: true, transient_local: true, depth: 1 };

@@ -1,5 +1,5 @@
 //! The simulated robot, in steps of a millisecond:
-//! a differential-drive base with an arm and an optional gripper.
+//! a base with differential drive, an arm, and an optional gripper.
 
 use std::sync::Arc;
 

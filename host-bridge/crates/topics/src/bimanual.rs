@@ -64,7 +64,7 @@ messages! {
     "bimanual_msgs/RightSample" RightSample {
         /// Time of day.
         header: Header,
-        /// Accelerometer (m/s2), then gyroscope (deg/s) and magnetometer (uT) if the sensor has them.
+        /// Accelerometer (m/s2), then gyroscope (deg/s) and magnetometer (uT) if the sensor has these parts.
         values: Vec<f32>,
     }
 

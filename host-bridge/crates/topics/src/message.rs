@@ -1,5 +1,5 @@
 //! The ROS 2 messages that this program uses, with the same fields as in the Jazzy packages.
-//! They are used over DDS, in session files and for Foxglove ([`crate::Topic`]).
+//! The program uses these messages over DDS, in session files and for Foxglove ([`crate::Topic`]).
 //!
 //! Arrays of 36 values are written as 6 × 6, which is the same on the wire.
 //! [`crate::values`] creates them from the bridge's own values.

@@ -1,5 +1,5 @@
 //! A simulated desk for tests. Boards run behind pseudo-terminals, and the program runs as a user starts it.
-//! All share a common simulated time.
+//! Boards and programs share a simulated time.
 //!
 //! - [`time`] is the simulated time, which advances only while the test waits and after all boards
 //!   and programs are ready;

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use super::time::{Process, Time};
 
 /// Time limit for a wait, so that a test cannot hang forever.
-/// It uses the test's time, or wall-clock time for programs that do not use the test's time.
+/// The limit uses the test's time, or wall-clock time for programs that do not use the test's time.
 pub const PATIENCE: Duration = Duration::from_secs(240);
 
 /// A temporary folder for one test, and the test's time.

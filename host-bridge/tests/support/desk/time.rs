@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use super::port::alone;
 
 /// Limit in wall-clock time for one step, or for the start of a program.
-/// It is much longer than a busy machine needs, and only prevents a test from hanging forever.
+/// The limit is much longer than a busy machine needs, and only prevents a test from hanging forever.
 const PATIENCE: Duration = Duration::from_secs(240);
 /// Maximum delay that [`Time::keep_pace`] catches up with. It ignores longer delays.
 const MADE_UP: Duration = Duration::from_millis(20);

@@ -1,5 +1,5 @@
 //! Permits motion of base and arm only while both can still stop.
-//! This is the director's part of [`crate::plan::guard`].
+//! This module is the director's part of [`crate::plan::guard`].
 
 use host_robot::{Base, BaseState, Motion, Reading, Report, Robot, Trajectory, Twist};
 

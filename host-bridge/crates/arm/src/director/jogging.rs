@@ -63,7 +63,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Continues in the direction that the hand requests, if it requests one.
+    /// Continues in the direction that the hand requests, if the hand requests a direction.
     pub(super) fn jog_on(&mut self) {
         if self.now_ms.saturating_sub(self.jog.asked_ms) > SILENCE_MS {
             // Further motion needs a new request.
@@ -136,9 +136,8 @@ impl<R: Robot> Director<R> {
         Ok(true)
     }
 
-    /// Returns the plan with pieces from `from_s` on, at least until `enough_s`,
-    /// and the time at which the pieces end.
-    /// There are fewer pieces if no more are allowed.
+    /// Returns the plan with pieces from `from_s` on, at least until `enough_s`.
+    /// Also returns the time at which the pieces end, which is earlier if no more pieces are allowed.
     fn extended(&self, plan: &Trajectory, from_s: f64, enough_s: f64) -> Result<(Trajectory, f64), String> {
         let (mut plan, mut at_s) = (plan.clone(), from_s);
         while at_s < enough_s {
@@ -188,8 +187,8 @@ impl<R: Robot> Director<R> {
             .map_err(|error| error.to_string())
     }
 
-    /// Checks as the guard does: the arm touches nothing,
-    /// neither during the piece nor during the braking after it.
+    /// Checks the same conditions as the guard.
+    /// The arm must touch nothing, neither during the piece nor during the braking after it.
     /// The base stands still. Without a scene, the arm can still touch the robot itself.
     fn keeps_clear(&self, next: &Trajectory, at_s: f64) -> Result<(), String> {
         let base = match &self.site {

@@ -87,7 +87,7 @@ impl Drop for Thread {
 
 impl Job {
     /// A thread that cannot start, or that fails, gives a plan that never arrives.
-    /// This is true in live and in replayed sessions.
+    /// Such a plan never arrives in a replayed session either.
     fn aside(task: Task) -> Self {
         let (is_done, ends) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let task = task.ended_by(Arc::clone(&ends));

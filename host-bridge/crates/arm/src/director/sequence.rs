@@ -336,7 +336,7 @@ impl Plot {
         let part = near_m(&draft.things)?;
         let here = self.site.flange(draft.placement, &draft.from_rad);
         let touch = self.site.shop().touching(&draft.things, &here);
-        // This exception applies only if the close object is the one that the hand grips.
+        // This exception applies only if the close object is the object that the hand grips.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }

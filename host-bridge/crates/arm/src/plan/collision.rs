@@ -16,8 +16,8 @@ use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
 use host_robot::{Odometry, Random};
 
-/// Maximum overlap with a support. The shapes around a held object are 6 mm too large;
-/// a greater overlap would press the object into its support.
+/// Maximum overlap with a support. The shapes around a held object are 6 mm too large.
+/// A greater overlap would press the object into its support.
 const SINKS_M: f64 = 0.010;
 
 /// Links that are two joints apart, and never closer than this distance, are not checked.
@@ -193,7 +193,7 @@ impl World {
 
     /// Returns whether two links that are two joints apart can touch within the limits of those joints.
     /// As in MoveIt's setup, pairs that never touch are ignored.
-    /// Their constant proximity would hide everything else.
+    /// The constant proximity of such pairs would hide everything else.
     fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
@@ -407,7 +407,7 @@ impl<'w> Surroundings<'w> {
         for &(link, shape) in &shapes {
             let part = world.part(link);
             // The fixed base of the arm and its first link stand on the mobile base.
-            // They never come closer to the base or to the floor.
+            // These parts never come closer to the mobile base or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
                 own.tighten(

@@ -81,7 +81,7 @@ impl Guard<'_> {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
         // The robot's own parts are always close to each other.
-        // The closest pair is one of them only if they block the motion, or if nothing else is there.
+        // Such a pair is returned only if it blocks the motion, or if nothing else is there.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M || !boxes.distance_m.is_finite());
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// The test `a_motion_is_planned_or_refused_within_its_checks` prints the time that this takes.
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
-/// The remaining checks of a motion:
-/// complete checks of a configuration, and (cheaper) steps of inverse kinematics.
+/// The remaining checks of a motion.
+/// They are complete checks of a configuration, and (cheaper) steps of inverse kinematics.
 /// Steps are counted and never timed, so that equal calls give equal results on any machine.
 #[derive(Clone, Debug)]
 pub struct Purse {

@@ -1,5 +1,6 @@
 //! The bridge's part of jogging.
-//! It determines which part of the robot the left hand moves, and which motion is requested of the tool.
+//! This part determines which part of the robot the left hand moves,
+//! and which motion is requested of the tool.
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 

@@ -104,8 +104,8 @@ impl Bridge {
         Bridge { drive, ..self }
     }
 
-    /// Sets the reason why the robot itself refuses to move from now on;
-    /// `None` means that it no longer refuses.
+    /// Sets the reason why the robot itself refuses to move from now on.
+    /// The value `None` means that the robot no longer refuses.
     pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
         let kind = match &refusal {
             Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
@@ -118,7 +118,7 @@ impl Bridge {
     }
 
     /// Returns whether this text is a new message.
-    /// It is not new if it differs from the last message only in its numbers, which change continually.
+    /// A text is not new if it differs from the last message only in its numbers, which change continually.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
         match (self.refusal(), refusal) {
             (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
@@ -126,7 +126,7 @@ impl Bridge {
         }
     }
 
-    /// Returns the reason why the robot itself refuses to move, if it does.
+    /// Returns the reason why the robot itself refuses to move, or `None` if it does not refuse.
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()
     }
@@ -159,8 +159,7 @@ impl Bridge {
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
         for hand in Hand::BOTH {
-            // The first answer to a ping must arrive in time for the first state.
-            // Until that state, the dead-man's limit of 250 ms applies.
+            // Until the first state, the dead-man limits the wait for the first answer to a ping to 250 ms.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
             }
@@ -373,7 +372,7 @@ impl Bridge {
         }
         let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
         // The safety machine does not treat the clutch as a gesture.
-        // That machine accepts gestures only while armed.
+        // The safety machine accepts gestures only while armed.
         let clutch = acts.filter(|(_, label)| self.is_clutch(label)).map(|(new, _)| new.age_ms);
         let gesture = acts.filter(|_| clutch.is_none()).map(|(new, label)| safety::Gesture {
             label: new.label,

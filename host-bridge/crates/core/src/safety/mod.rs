@@ -5,7 +5,7 @@
 //!   A silent hand is not forgotten; it prevents motion until it returns.
 //! * **awaited**: a hand that was announced but has not sent a hello.
 //!   Until its hello arrives, nothing moves.
-//!   The reason is that the other hand must not drive without the hand that can stop it.
+//!   The other hand must not drive without the hand that can stop it.
 //! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`].
 //!   Older samples never move the robot.
 //! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
@@ -93,7 +93,8 @@ impl Default for SafetyTimes {
 /// `Stale` is reached by time alone.
 /// A stopped robot stays stopped, whatever the links do.
 /// A robot that refuses by itself leads to `Refused` from every state except `Stopped`.
-/// When it no longer refuses, the state is `Waiting`, and neutral is required; no release skips this.
+/// When the robot no longer refuses, the state is `Waiting`, and neutral is required;
+/// no release skips this step.
 /// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`.
 /// The same happens if the right hand does not rest while the left hand is lent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -188,7 +189,7 @@ impl Safety {
         self.lent
     }
 
-    /// Returns where the left hand points, if it may move the arm's tool.
+    /// Returns where the left hand points, or `None` if it may not move the arm's tool.
     pub fn jogging(&self) -> Option<Pointing> {
         (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
@@ -258,7 +259,8 @@ impl Safety {
                 }
                 let bends = index_bends != 0 || middle_bends != 0;
                 if stop {
-                    // This applies even to a late state or a hand in doubt, because halting is always safe.
+                    // The stop applies even for a late state or a hand in doubt,
+                    // because halting is always safe.
                     self.stop(&mut actions);
                 }
                 if age_ms > self.times.stale_ms {
@@ -376,8 +378,8 @@ impl Safety {
         }
     }
 
-    /// Returns whether all connected hands are live,
-    /// and the left hand has been neutral for a second at `time_ms`.
+    /// Returns whether all connected hands are live.
+    /// In addition, the left hand must have been neutral for a second at `time_ms`.
     /// Without a left hand, the right hand must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
@@ -469,7 +471,7 @@ impl Safety {
         if connected().next().is_none() {
             return;
         }
-        // Only the time counts during which all hands were neutral together.
+        // Time counts only if all hands were neutral together.
         let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
         let together = all.and_then(|all| {
             all.into_iter().reduce(|a, b| Neutral {

@@ -53,7 +53,7 @@ impl LeftBoard {
         }
     }
 
-    /// Calibrates neutral and rest from the first 1.6 s, as if the wearer had requested this.
+    /// Calibrates neutral and rest from the first 1.6 s, as if the wearer had requested a calibration.
     /// The hand must be level and still with straight fingers; otherwise, the calibration does not change.
     #[must_use]
     pub fn calibrated_at_start(mut self) -> Self {

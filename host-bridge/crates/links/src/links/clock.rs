@@ -206,7 +206,7 @@ mod tests {
     fn the_clock_counts_the_time_that_the_machine_slept() {
         use rustix::time::{ClockId, clock_gettime};
 
-        // Both clocks start at boot, but only one of them continues during sleep.
+        // Both clocks start at boot, but only one of the two continues during sleep.
         // On a machine that has never slept, both are equal, so the test also checks the name of the clock.
         let awake = clock_gettime(ClockId::Monotonic);
         let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;

@@ -3,7 +3,7 @@
 //! The last chunk is followed by the shortest valid end.
 //! The next chunk overwrites this end, with a new end, in a single write.
 //! After a kill or on a full disk, the file is therefore readable up to its last chunk.
-//! Only the index is missing.
+//! After a kill, only the index is missing.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
