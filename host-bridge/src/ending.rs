@@ -22,7 +22,7 @@ const PATIENCE_MS: u64 = 900;
 /// Interval of this check.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Leaves the alternate screen and shows the cursor, which the live view has changed.
+/// Undoes the live view's changes: leaves the alternate screen, and shows the cursor.
 const RESTORE: &[u8] = b"\x1b[?1049l\x1b[?25h\r\n";
 
 /// The exit code of a session that had to be terminated.

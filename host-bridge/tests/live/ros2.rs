@@ -1,7 +1,7 @@
 //! Runs the program between boards behind pseudo-terminals and an independent robot on the ROS 2 graph.
 //! The robot is `tests/ros2/peer.py` on Eclipse Cyclone DDS.
-//! `cargo xtask test --only "ROS 2"` runs these tests and sets BIMANUAL_ROS2_PYTHON to an interpreter
-//! with the packages.
+//! `cargo xtask test --only "ROS 2"` runs these tests.
+//! It sets BIMANUAL_ROS2_PYTHON to an interpreter with the packages.
 //!
 //! If the system permits it, each test creates its own network namespace, so that tests do not disturb each other.
 
@@ -723,7 +723,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One incorrect setup, and the report that `doctor` must print.
+/// An incorrect setup, with the report that `doctor` must print for it.
 struct Wrong {
     what: &'static str,
     /// Options of each robot; an empty list means that there is no robot.

@@ -215,7 +215,7 @@ struct OnTerminal {
     child: Child,
     /// The test's side of the terminal, which receives the screen output.
     screen: File,
-    /// Kept open so that the terminal's settings can be queried.
+    /// The terminal is kept open, so that its settings can be queried.
     terminal: File,
 }
 

@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use super::stream::off_rad;
 use host_robot::{JOINTS, Joints};
 
-/// Time within which several writers of the arm's angles count.
+/// Two writers of the arm's angles are reported if both have written within this time.
 const TELLERS_MS: u64 = 1000;
 /// Maximum number of writers that are distinguished.
 const TELLERS_MAX: usize = 8;

@@ -9,8 +9,8 @@
 //! piece 3             ▪────────╲__      every 100 ms
 //! ```
 //!
-//! This relies on rules of Jazzy's joint_trajectory_controller (`joint_trajectory_controller.cpp`
-//! and `trajectory.cpp`).
+//! This method relies on rules of Jazzy's joint_trajectory_controller.
+//! Their source files are `joint_trajectory_controller.cpp` and `trajectory.cpp`.
 //! A message on the topic replaces the running one. A zero stamp means "now" and would cause a jump or a blend.
 //! With a stamp, the controller samples the trajectory at its own time,
 //! exactly between a past point and the next one.

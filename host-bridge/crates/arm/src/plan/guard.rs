@@ -117,7 +117,7 @@ impl Guard<'_> {
         self.stretch_is_clear(braking, start_s, middle_s) && self.stretch_is_clear(braking, middle_s, end_s)
     }
 
-    /// Returns the smallest distance, minus the possible displacement of base and arm, if given.
+    /// Returns the smallest distance. If a displacement of base and arm is given, it is subtracted.
     fn nearest_m(&self, odometry: &Odometry, arm: &Motion, moves_m: Option<(f64, f64)>) -> f64 {
         let (base_m, arm_m) = moves_m.unwrap_or((0.0, 0.0));
         let around = self.world.around_with(Placement::from(*odometry), self.things);
