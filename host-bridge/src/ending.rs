@@ -98,7 +98,7 @@ fn watch_panics(
     }));
 }
 
-/// Restores the terminal, as far as possible without waiting for it.
+/// Restores the terminal. Steps that would have to wait for the terminal are omitted.
 fn give_terminal_back() {
     let _ = disable_raw_mode();
     system::write_at_once(RESTORE);

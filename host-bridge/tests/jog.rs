@@ -1,5 +1,5 @@
 //! Tests jogging, in which a hand moves the tool: the clutch, the dead-man, the limits and the guard.
-//! The tilt of the hand is judged at 100 Hz by the board's rules, and states are sent at 50 Hz.
+//! The board's rules evaluate the tilt of the hand at 100 Hz, and states are sent at 50 Hz.
 //! All tests run in virtual time.
 
 mod support;

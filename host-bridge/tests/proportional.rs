@@ -1,7 +1,7 @@
 //! Tests driving with a speed that is proportional to the tilt.
 //! The rules for silence, neutral, stops and the guard are the same as for four headings. The base also drives arcs.
 //!
-//! The tilt is judged at 100 Hz by the board's code, and states are sent at 50 Hz.
+//! The board's code evaluates the tilt at 100 Hz, and states are sent at 50 Hz.
 
 mod support;
 

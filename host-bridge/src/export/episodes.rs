@@ -111,7 +111,7 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     cutter.found
 }
 
-/// Returns the episodes as the operator's marks define them. The session used the same rules for its reports.
+/// Returns the episodes that the operator's marks define. The session's own reports used the same rules.
 fn takes(streams: &Streams, over_ms: u64) -> Vec<Take> {
     let mut tally = Tally::default();
     for (time_ms, happened) in &streams.events {

@@ -464,7 +464,8 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         for (at_s, joints) in &seen {
             // The displayed angles must equal the reported angles exactly.
             // The displayed angles therefore cannot come from the simulator.
-            // The newest report before that time counts, with a tolerance for the different clocks of two programs.
+            // The newest report before that time is compared,
+            // with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");

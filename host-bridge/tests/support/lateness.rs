@@ -1,4 +1,4 @@
-//! Determines whether times measured with the wall clock can be judged.
+//! Determines whether times measured with the wall clock are meaningful.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

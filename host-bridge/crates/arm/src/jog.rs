@@ -29,7 +29,7 @@ const SHARE_MIN: f64 = 0.3;
 /// Motion of the flange per unit of one joint: linear speed, then turn rate.
 type Column = [f64; 6];
 
-/// Why the tool does not move as asked.
+/// The reason why the tool does not move as requested.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Stuck {
     /// A joint is at its limit, or close to it.

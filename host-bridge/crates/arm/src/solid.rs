@@ -33,7 +33,7 @@ impl Solid {
     ///
     /// The method is Frank and Wolfe's (1956; pairwise steps by Lacoste-Julien and Jaggi 2015).
     /// The search approaches the nearest points of two convex bodies.
-    /// Each direction on the way may give a separating plane.
+    /// Each direction that occurs in this search may give a separating plane.
     /// The returned distance is the one that the best of these planes proves.
     pub fn apart_m(&self, other: &Solid) -> f64 {
         let (Some(first), Some(second)) = (self.points_m.first(), other.points_m.first()) else {

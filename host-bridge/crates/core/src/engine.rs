@@ -271,7 +271,7 @@ impl<'b, D: Door> Engine<'b, D> {
     /// Returns the events. Data to be sent waits in [`Engine::take_outgoing`].
     pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
         let ready = ready.into();
-        // The robot moves first. After a pause of this program, the robot has already stopped by itself.
+        // The robot moves first. After a long suspension of this program, it has already stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
         for hand in Hand::BOTH {

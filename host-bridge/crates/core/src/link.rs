@@ -170,7 +170,7 @@ pub struct HandLink {
     pinged: Option<(u32, u64)>,
     /// Round-trip time of the newest answered ping, and the time of its answer.
     round_trip: Option<(u64, u64)>,
-    /// Whether the board's clock has stepped back. Nothing counts from then until a hello arrives.
+    /// Whether the board's clock has stepped back. From then on, all data is ignored until a hello arrives.
     restarted: bool,
 }
 

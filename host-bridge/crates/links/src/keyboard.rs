@@ -9,9 +9,9 @@
 //! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
 //! Debouncing, the dead-man, the caps and the stop therefore apply to keyboard hands too.
 //! A terminal reports key presses and repeats, but no releases.
-//! An arrow counts for [`KeyTimes::first_press_ms`] after the press.
+//! An arrow is active for [`KeyTimes::first_press_ms`] after the press.
 //! By then, the terminal has begun to repeat the key.
-//! Afterwards, the arrow counts for [`KeyTimes::repeat_ms`] after each repeat.
+//! Afterwards, the arrow is active for [`KeyTimes::repeat_ms`] after each repeat.
 //! Finally, the hand is neutral again.
 
 use std::collections::VecDeque;
@@ -39,14 +39,14 @@ const HOP_SAMPLES: u32 = 8;
 
 /// Minimum time between steps, because a held key repeats up to thirty times per second.
 const STEP_INTERVAL_MS: u64 = 200;
-/// A bend counts once it has lasted for 120 ms. The next bend counts only after the finger was straight.
+/// A bend is valid once it has lasted for 120 ms. The next bend is valid only after the finger was straight.
 const BENT_MS: u64 = 140;
 /// Maximum number of steps that wait for the current one.
 const STEPS_WAITING: usize = 2;
 /// A board that has not run for this long was asleep. Its output would be late and is omitted.
 const ASLEEP_MS: u64 = 100;
 
-/// Durations for which a key counts, and the key that ends the arm's motion.
+/// Durations for which a key is active, and the key that ends the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyTimes {

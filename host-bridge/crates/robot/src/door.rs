@@ -199,7 +199,7 @@ pub trait Door {
         Err(NotStarted::Refused("this robot's arm cannot be moved by hand".to_owned()))
     }
 
-    /// Moves the tool at this speed, in the arm's base frame, as far as limits and guard allow.
+    /// Moves the tool at this speed, in the arm's base frame, within the limits and if the guard allows it.
     /// A live bridge repeats the speed. A value older than a quarter of a second counts as zero.
     fn jog(&mut self, _tool_m_s: DVec3) {}
 

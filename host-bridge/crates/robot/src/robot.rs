@@ -196,7 +196,7 @@ pub trait Robot {
         0
     }
 
-    /// Returns the number of times the robot had to stop by itself, as far as known.
+    /// Returns the number of times the robot had to stop by itself, if this is known.
     fn timeouts(&self) -> u32 {
         0
     }

@@ -102,7 +102,7 @@ impl Clocks {
     }
 
     /// Returns the clock difference, or `None` if there are too few recent stamps.
-    /// If there are several sources, the worst one counts.
+    /// If there are several sources, the largest difference is returned.
     pub fn difference(&self, now_ms: u64) -> Option<Difference> {
         let newest = |heard: &VecDeque<(u64, f64)>| {
             let lately = heard.iter().filter(|(at_ms, _)| now_ms.saturating_sub(*at_ms) <= WINDOW_MS);

@@ -91,7 +91,7 @@ impl Doubts {
     pub fn held(&self, here: &Joints, now_ms: u64) -> Option<Joints> {
         let (held, at_ms) = self.held?;
         let near = off_rad(&held, here) <= HELD_MAX_RAD && now_ms.saturating_sub(at_ms) <= STATE_MS;
-        // The controller's state counts only in the turn in which it is reported.
+        // The controller's state is used only in the turn in which it is reported.
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 

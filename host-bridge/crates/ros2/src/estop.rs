@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn true_stops_whoever_says_it_until_he_takes_it_back() {
         let mut inputs = ready();
-        // A publisher that the graph does not show yet also counts.
+        // A publisher that the graph does not show yet is also respected.
         inputs.hear(0, "c", true, 100);
         assert!(inputs.refusal(100).unwrap().contains("e-stop is pressed"));
         inputs.hear(0, "a", false, 200);

@@ -17,7 +17,7 @@ pub fn message(header: Header, names: &[String], mut points: Vec<JointTrajectory
     JointTrajectory { header, joint_names: names.to_vec(), points }
 }
 
-/// Converts a trajectory to points in time. Cubics through their positions and speeds give the same motion.
+/// Converts a trajectory to points in time. Cubic interpolation between these points gives the same motion.
 pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
     let end_s = trajectory.duration_s();
     let mut times_s = trajectory.knots_s();

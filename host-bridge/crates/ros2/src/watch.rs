@@ -29,7 +29,8 @@ impl Watch {
         Watch { threads: Watch::running().into_iter().filter(|task| !before.contains(task)).collect() }
     }
 
-    /// Returns whether no thread has ended. If the system does not list threads (not Linux), they count as alive.
+    /// Returns whether no thread has ended.
+    /// If the system (not Linux) does not list threads, they count as alive.
     pub fn is_alive(&self) -> bool {
         self.threads.iter().all(|task| task.exists())
     }

@@ -55,7 +55,7 @@ impl Running {
         }
     }
 
-    /// The trajectory under way continues otherwise.
+    /// Replaces the trajectory under way, which then continues differently.
     pub(super) fn replace(&mut self, with: Arc<Trajectory>) {
         if let Act::Follow { trajectory, .. } = &mut self.now {
             *trajectory = with;

@@ -121,7 +121,8 @@ impl World {
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
-            // The tool is on the last link and has the same neighbours; a held object is a part of it.
+            // The tool is on the last link and has the same neighbours.
+            // A held object is treated like a part of the tool.
             let last = links - 1;
             let near = |one: usize| {
                 one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))

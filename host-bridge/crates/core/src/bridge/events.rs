@@ -88,7 +88,7 @@ pub enum EventKind {
         index: u8,
         /// Bends of the middle finger.
         middle: u8,
-        /// The new cap, which has the same value in m/s and in rad/s.
+        /// The new cap, whose value applies in m/s and in rad/s.
         cap: f64,
     },
     /// The right hand performed a gesture.

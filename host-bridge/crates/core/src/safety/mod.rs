@@ -32,7 +32,7 @@ use watch::{Neutral, Watch};
 pub const STALE_MS: u64 = 250;
 
 /// All hands must be neutral together for this long before anything may move.
-/// The time counts from the arrival of the first neutral sample to the acquisition of the newest.
+/// The time is measured from the arrival of the first neutral sample to the acquisition of the newest one.
 /// A burst after a stall, or one neutral frame followed by silence, is therefore not enough.
 pub const ARM_NEUTRAL_MS: u64 = 100;
 
@@ -92,7 +92,7 @@ impl Default for SafetyTimes {
 /// Motion is possible only in `Armed`. Leaving this state halts base and arm.
 /// `Stale` is reached by time alone.
 /// A stopped robot stays stopped, whatever the links do.
-/// A robot that refuses by itself leads to `Refused` from every state except `Stopped`.
+/// A robot that itself refuses to move leads to `Refused` from every state except `Stopped`.
 /// When the robot no longer refuses, the state is `Waiting`, and neutral is required;
 /// no release skips this step.
 /// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`.
@@ -194,7 +194,7 @@ impl Safety {
         (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
 
-    /// Returns the same heading together with its tilt.
+    /// Returns the heading that may drive the base, together with its tilt.
     pub fn pointing(&self) -> Pointing {
         Pointing { heading: self.heading(), tilt: self.tilts.meant() }
     }
@@ -312,7 +312,7 @@ impl Safety {
                 if refuses {
                     self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
                 } else if self.state == State::Refused {
-                    // Neutral counts only from now on.
+                    // From now on, only new neutral samples are accepted.
                     self.left.reset(self.now_ms);
                     self.right.reset(self.now_ms);
                     self.enter(State::Waiting, &mut actions);
@@ -412,7 +412,7 @@ impl Safety {
     }
 
     fn stop(&mut self, actions: &mut Vec<Action>) {
-        // Neutral counts only from the stop on.
+        // Only neutral samples after the stop are accepted.
         self.left.reset(self.now_ms);
         self.right.reset(self.now_ms);
         self.right_rested = false;
@@ -471,7 +471,7 @@ impl Safety {
         if connected().next().is_none() {
             return;
         }
-        // Time counts only if all hands were neutral together.
+        // Only the time in which all hands were neutral together counts.
         let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
         let together = all.and_then(|all| {
             all.into_iter().reduce(|a, b| Neutral {

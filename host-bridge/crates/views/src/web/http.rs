@@ -51,7 +51,7 @@ pub struct Request<'a, 'h> {
 }
 
 /// Reads a request and passes it to `then` with the bytes after it.
-/// If there is no request, the answer says why.
+/// If there is no request, the answer contains the reason.
 pub fn with_request(mut stream: TcpStream, then: impl FnOnce(TcpStream, Request<'_, '_>, Vec<u8>)) {
     // If a socket refuses its settings, it is broken, and reading from it fails too.
     let _ = stream.set_nodelay(true);
