@@ -34,7 +34,7 @@ use shared_words::Heading;
 
 /// Observes a session. The module documentation lists the rules.
 pub trait Observer {
-    /// Called with bytes from a hand's board, in the received portions.
+    /// Called with bytes from a hand's board, in the portions in which they arrive.
     /// The call comes just before the bridge processes the bytes.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
 

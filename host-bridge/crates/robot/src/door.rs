@@ -140,7 +140,7 @@ pub enum Report {
     Note(String),
 }
 
-/// The complete changing state of the robot, as reported by the robot.
+/// All data about the robot that changes, as the robot reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// The arm. Its angles are NaN if unknown.

@@ -96,7 +96,7 @@ pub trait Robot {
     fn step(&mut self, now_ms: u64);
 
     /// Returns joint angles, speeds and (if known) accelerations.
-    /// `None` means unknown, or older than the robot accepts.
+    /// The result is `None` if the values are unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
     /// Returns the position at which the controller holds the resting arm.

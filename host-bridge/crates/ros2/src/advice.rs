@@ -70,7 +70,7 @@ impl Machine {
             };
             text.lines().skip(1).filter_map(port).collect()
         };
-        // A participant uses two ports: 7400 + 250 domain + 10 + 2 number, and the next port for its data.
+        // A participant's first port is 7400 + 250 × domain + 10 + 2 × number. The next port is for its data.
         let domain = |port: u16| {
             let offset = port.checked_sub(7400)?;
             let within = offset % 250;
