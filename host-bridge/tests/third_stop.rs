@@ -5,7 +5,7 @@
 //! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`):
 //! the last message on the topic replaces all others. The controller samples it in its own time with cubics.
 //! The controller holds the last point of the message.
-//! diff_drive_controller (`diff_drive_controller.cpp`): it replaces a stamp of zero by the time of arrival,
+//! diff_drive_controller (`diff_drive_controller.cpp`): it replaces a stamp of zero by the time of arrival.
 //! The controller brakes if a command is older than 0.5 s.
 
 use host_bridge::arm::gen3::COUNT;

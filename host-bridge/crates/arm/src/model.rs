@@ -190,7 +190,7 @@ impl SerialArm {
     /// Checks whether all values are within the limits.
     ///
     /// # Errors
-    /// The error names the first joint that is not within its limits.
+    /// Returns an error that names the first joint that is not within its limits.
     pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
         for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
             let name = || joint.name.clone();

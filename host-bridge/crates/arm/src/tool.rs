@@ -115,7 +115,7 @@ impl Tool {
     /// Combines several tables.
     ///
     /// # Errors
-    /// The tool that is invalid, with the reason.
+    /// Returns the name of the invalid tool, with the reason.
     pub fn new(tables: &[ToolTable]) -> Result<Self, String> {
         let Bundled { tool: bundled } =
             toml::from_str(BUNDLED).unwrap_or_else(|error| panic!("tools/bundled.toml: {error}"));

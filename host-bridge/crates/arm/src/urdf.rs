@@ -62,7 +62,7 @@ pub enum UrdfError {
 /// Parses an arm. Its home pose is all zeros, or the closest values within the limits.
 ///
 /// # Errors
-/// The problem and the necessary change.
+/// Returns the problem and the necessary change.
 pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let kind = |text: String| UrdfError::Kind(text);
     if is_xacro(text) {

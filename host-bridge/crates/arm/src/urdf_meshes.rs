@@ -26,7 +26,7 @@ pub struct Alone {
 /// A failed mesh stays and gets a note.
 ///
 /// # Errors
-/// The errors of [`crate::urdf::parse`] about the joints from root to tip.
+/// Returns the errors of [`crate::urdf::parse`] about the joints from root to tip.
 pub fn stand_alone(
     text: &str,
     missing: &Missing,

@@ -122,20 +122,20 @@ pub trait Robot {
     /// Checks whether the arm can follow a trajectory now.
     ///
     /// # Errors
-    /// The reason why the arm cannot follow a motion, with a remedy.
+    /// Returns the reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
     /// Makes the arm follow a trajectory that starts at its position. The new trajectory replaces the current one.
     ///
     /// # Errors
-    /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
+    /// Returns the reason why the robot does not follow the trajectory. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
     /// Returns how long before its effect a change of a running trajectory must be sent;
     /// see [`Robot::follow_on`].
     ///
     /// # Errors
-    /// The reason why the trajectory cannot be changed, with a remedy.
+    /// Returns the reason why the trajectory cannot be changed, with a remedy.
     fn ahead_ms(&self) -> Result<u64, String> {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
@@ -145,7 +145,7 @@ pub trait Robot {
     /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
     /// # Errors
-    /// The reason why the trajectory cannot be changed. The arm then continues as before.
+    /// Returns the reason why the trajectory cannot be changed. The arm then continues as before.
     fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
         self.ahead_ms().map(|_| ())
     }
@@ -170,7 +170,7 @@ pub trait Robot {
     /// Checks whether the gripper can open or close now.
     ///
     /// # Errors
-    /// The reason why the gripper cannot be used, with a remedy.
+    /// Returns the reason why the gripper cannot be used, with a remedy.
     fn can_grip(&self) -> Result<(), String> {
         Err("this robot has no gripper".to_owned())
     }
@@ -178,7 +178,7 @@ pub trait Robot {
     /// Moves the gripper to a width.
     ///
     /// # Errors
-    /// The reason why the gripper does not move. Nothing moves in this case.
+    /// Returns the reason why the gripper does not move. Nothing moves in this case.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }

@@ -126,7 +126,7 @@ fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 /// Searches for boards that advertise now, for the given time. Returns them as `ble:NAME`.
 ///
 /// # Errors
-/// The reason why Bluetooth is not available, with a remedy.
+/// Returns the reason why Bluetooth is not available, with a remedy.
 pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     runtime()?.block_on(async {
         let (_session, adapter) = adapter().await?;

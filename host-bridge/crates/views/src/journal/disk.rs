@@ -76,7 +76,8 @@ impl Disk {
     /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// The file cannot be created or written, or already exists. The error is reported before the robot moves.
+    /// Fails if the file cannot be created or written, or already exists.
+    /// The error is reported before the robot moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,
@@ -96,7 +97,7 @@ impl Disk {
     /// Like `create`, with a custom storage.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// Fails if the storage cannot be written.
     pub fn with_storage<S: Storage + Send + 'static>(
         storage: S,
         file: &Path,

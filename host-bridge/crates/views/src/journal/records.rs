@@ -20,7 +20,7 @@ pub struct Records<'a> {
 /// Returns the records of these bytes.
 ///
 /// # Errors
-/// The data does not begin like an MCAP file.
+/// Fails if the data does not begin like an MCAP file.
 pub fn records(bytes: &[u8]) -> McapResult<Records<'_>> {
     // The lenient reader would accept an empty file as a file without an end.
     if !bytes.starts_with(mcap::MAGIC) {

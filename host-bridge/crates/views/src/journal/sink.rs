@@ -30,13 +30,13 @@ pub trait Storage {
     /// Writes all bytes at this position.
     ///
     /// # Errors
-    /// The error of the disk. Some of the bytes may have been written.
+    /// Returns the error of the disk. Some of the bytes may have been written.
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
     /// Removes everything after this position.
     ///
     /// # Errors
-    /// The file system's error message.
+    /// Returns the file system's error message.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -96,7 +96,7 @@ impl<S: Storage> Sink<S> {
     /// Writes the last bytes, which contain their own end.
     ///
     /// # Errors
-    /// The error of the disk. The file is valid even then.
+    /// Returns the error of the disk. The file is valid even then.
     pub fn finish(mut self) -> io::Result<(S, u64)> {
         self.put(&[])?;
         self.storage.cut(self.good)?;
