@@ -47,7 +47,7 @@ impl ObjectTable {
     /// Checks that all values are valid.
     ///
     /// # Errors
-    /// Returns the name of the invalid value.
+    /// Returns a text that names the object and the valid values.
     pub fn check(&self) -> Result<(), String> {
         let is_length = |m: f64| m.is_finite() && m > 0.0 && m <= 2.0;
         let sound = match (self.radius_m, self.size_m) {
