@@ -53,7 +53,7 @@ fn quoted(name: &str) -> String {
     toml::Value::String(name.to_owned()).to_string()
 }
 
-/// Returns the position of the angles of the pose with this name.
+/// Finds the pose with this name, and returns the position of its angles in the text.
 fn place(text: &str, name: &str) -> Result<Option<Range<usize>>, TaughtError> {
     let table = DeTable::parse(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);

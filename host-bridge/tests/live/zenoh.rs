@@ -411,7 +411,8 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         all.iter().filter(|pair| pair.has_arm()).for_each(|pair| pair.left.hold(pose));
     };
     all.iter().for_each(|pair| pair.left.hold(FORWARD));
-    // TCP is blocked for 200 ms every 5 s. In the middle, a fifth of all packets is lost for 10 s.
+    // TCP is blocked for 200 ms every 5 s.
+    // In the middle of the test, a fifth of all packets is lost for 10 s.
     let loses = "INPUT -i lo -p tcp -m statistic --mode random --probability 0.2 -j DROP";
     let (mut stalls, mut is_lossy, mut was_lossy) = (0, false, false);
     while start.elapsed().as_secs() < seconds {

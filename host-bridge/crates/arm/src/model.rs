@@ -229,8 +229,8 @@ impl SerialArm {
     /// The function also detects positions whose orientation turns the last link away.
     ///
     /// The flange's pose determines the last joint's origin and axis.
-    /// Together, they determine the circle on which the previous joint lies.
-    /// The arm's base determines the circle of the second joint.
+    /// Together, they determine a circle on which the previous joint lies.
+    /// In the same way, the arm's base determines a circle on which the second joint lies.
     /// The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };

@@ -191,7 +191,7 @@ pub struct ArmTable {
     pub urdf: Option<PathBuf>,
     /// Folders that contain the packages of the arm's meshes, relative to the scene file.
     pub packages: Vec<PathBuf>,
-    /// First link of that arm, which defines the arm's frame; none means the robot's first link.
+    /// First link of that arm, which defines the arm's frame. `None` selects the robot's first link.
     pub root: Option<String>,
     /// Last link of that arm, required if the file has several tips.
     pub tip: Option<String>,

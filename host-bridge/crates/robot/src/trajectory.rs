@@ -1,7 +1,7 @@
 //! Motion along several straight segments in joint space, with constant accelerations or constant jerks.
 //!
 //! Between two corners, the speed is constant. Around a corner, it changes to the speed of the next segment.
-//! This change needs no stop (a parabolic blend, Kunz and Stilman 2011).
+//! The change of speed is a parabolic blend (Kunz and Stilman 2011) and needs no stop.
 //! Speeds within a blend lie between those of the two segments.
 //! The slowest joint determines the blend's duration.
 //! Position, speed and acceleration therefore respect their limits at every instant, not only at samples.

@@ -74,7 +74,7 @@ impl Gate {
         }
     }
 
-    /// Checks whether this request may load the page. The page passes the token on.
+    /// Checks whether this request may load the page. The page then uses the same token for its WebSocket.
     ///
     /// # Errors
     /// [`Refused`].
