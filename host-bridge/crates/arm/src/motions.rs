@@ -1,5 +1,4 @@
-//! Arm motions and named poses, as data. The paper's six motions are bundled.
-//! Scenes and configurations can add more motions.
+//! Arm motions and named poses, as data: the paper's six, and those of scenes and configurations.
 //!
 //! ```toml
 //! [[motion]]
@@ -19,10 +18,8 @@
 //! joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
 //! ```
 //!
-//! Positions are those of the tool's point: x forward, y left, z up.
-//! The positions are relative to the point on the floor between the wheels.
-//! Moves and turns are straight lines unless `straight = false`.
-//! Positions are reached freely unless `straight = true`.
+//! The origin of the tool's positions is on the floor between the wheels: x forward, y left, z up.
+//! By default, moves and turns are straight lines, and positions are reached freely; `straight` changes this.
 //! The straight steps directly before and after a gripper step may touch the object and its support.
 //!
 //! A pose is also a motion: `--map wave="above the cup"`.

@@ -76,15 +76,13 @@ pub struct ArmLink {
     goals: u32,
     /// Abandoned goals that may still be running. Their cancellation is requested.
     strays: Strays,
-    /// Goals that may have been reported as finished too early.
-    /// Each has the time until which it may still be running.
+    /// Goals that may have been reported as finished too early, and until when they may still be running.
     unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
     /// Whether the controller has started the trajectory.
     is_accepted: bool,
-    /// The controller's set point at the time when a trajectory was sent.
-    /// This value is stored until the start is detected.
+    /// The controller's set point when a trajectory was sent; stored until the start is detected.
     wanted_then: Option<Joints>,
     /// The controller's set point.
     wanted: Option<Joints>,
@@ -339,8 +337,7 @@ impl ArmLink {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
                 Answer::Accepted => {
-                    // The goal was abandoned long ago, or another server rejected it.
-                    // The goal must not move the arm now.
+                    // The goal was abandoned or rejected, so it must not move the arm now.
                     self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
@@ -352,8 +349,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // With two servers or a forged answer,
-            // a motion may still be running after a report that it has finished.
+            // After a forged answer, or with two servers, a finished motion may still be running.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);

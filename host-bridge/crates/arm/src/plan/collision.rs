@@ -16,8 +16,7 @@ use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
 use host_robot::{Odometry, Random};
 
-/// Maximum overlap with a support. The shapes around a held object are 6 mm too large.
-/// A greater overlap would press the object into its support.
+/// Maximum overlap with a support, because the shapes around a held object are 6 mm too large.
 const SINKS_M: f64 = 0.010;
 
 /// Links that are two joints apart, and never closer than this distance, are not checked.
@@ -87,8 +86,7 @@ pub struct World {
     scene: Scene,
     lever_m: Joints,
     tool: Tool,
-    /// Pairs of links that can touch.
-    /// The tool follows the last link, and then its fingers and the held object.
+    /// Pairs of links that can touch. Tool, fingers and held object follow the last link.
     pairs: Vec<(usize, usize)>,
     start: Things,
     notes: Vec<String>,
@@ -121,8 +119,7 @@ impl World {
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
-            // The tool is on the last link and has the same neighbours.
-            // A held object is treated like a part of the tool.
+            // The tool and a held object have the same neighbours as the last link.
             let last = links - 1;
             let near = |one: usize| {
                 one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))
@@ -143,8 +140,7 @@ impl World {
         let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
-            // A pair that was clear once can collide, so it is checked.
-            // A few configurations usually find all such pairs.
+            // A pair that is clear once can collide. Usually, few configurations clear all such pairs.
             if always.is_empty() {
                 return;
             }
@@ -407,8 +403,7 @@ impl<'w> Surroundings<'w> {
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
-            // The fixed base of the arm and its first link stand on the mobile base.
-            // These parts never come closer to the mobile base or to the floor.
+            // The arm's fixed base and first link never come closer to the mobile base or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
                 own.tighten(

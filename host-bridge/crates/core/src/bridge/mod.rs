@@ -104,8 +104,7 @@ impl Bridge {
         Bridge { drive, ..self }
     }
 
-    /// Sets the reason why the robot itself refuses to move from now on.
-    /// The value `None` means that the robot no longer refuses.
+    /// Sets the robot's reason for refusing to move from now on; `None` ends the refusal.
     pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
         let kind = match &refusal {
             Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
@@ -346,8 +345,7 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            // Other programs may also send requests to the board.
-            // The answers to their requests must not hide the answers to the session's own requests.
+            // Answers to other programs' requests must not hide the answers to the session's own requests.
             Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
             Heard::Ack(_) => {}
         }
@@ -371,8 +369,7 @@ impl Bridge {
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
         let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
-        // The safety machine does not treat the clutch as a gesture.
-        // The safety machine accepts gestures only while armed.
+        // The safety machine accepts gestures only while armed, so the clutch is no gesture for it.
         let clutch = acts.filter(|(_, label)| self.is_clutch(label)).map(|(new, _)| new.age_ms);
         let gesture = acts.filter(|_| clutch.is_none()).map(|(new, label)| safety::Gesture {
             label: new.label,
