@@ -154,7 +154,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
 
     // A stop in the middle of a motion cancels the motion.
     // The arm runs in wall-clock time, but the hand does not.
-    // On a busy machine only a slow motion is certain to be unfinished in both times.
+    // On a busy machine, only a slow motion is certain to be still running by both clocks.
     robot.order("pace 1");
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));

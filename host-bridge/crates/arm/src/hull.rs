@@ -333,7 +333,7 @@ impl Quickhull {
         self.faces[face].normal.dot(self.points[point]) - self.faces[face].at
     }
 
-    /// Assigns a point to the first face, counted from `from`, that has the point on its outside.
+    /// Assigns a point to the first face beyond which it lies. The search begins at the face `from`.
     /// A point inside is discarded.
     fn give(&mut self, point: usize, from: usize) {
         let sees = (from..self.faces.len()).find(|face| self.beyond(*face, point) > 1e-12);

@@ -341,8 +341,8 @@ mod tests {
     fn joints_without_end_take_the_short_way_and_end_within_one_turn() {
         use host_robot::Trajectory;
         let arm = SerialArm::gen3();
-        // Joint 1 is at 3.1 rad, and at -3.1 in the pose:
-        // the difference is 0.083 rad, not 6.2 rad and 44.7 s.
+        // Joint 1 is at 3.1 rad, and at -3.1 in the pose.
+        // The difference is 0.083 rad, and not 6.2 rad, which would take 44.7 s.
         let (mut here, mut goal) = (arm.home_rad, arm.home_rad);
         (here[0], goal[0]) = (3.1, -3.1);
         let there = arm.unwound(&goal, &here);

@@ -4,7 +4,7 @@
 //! `stamp - local time` is therefore the clock difference minus the transmission time.
 //! The largest such value of the last seconds is the most accurate one.
 //! A robot that stamps its states late looks like a robot whose clock is behind.
-//! Robots of both kinds are unsuitable for stamped commands.
+//! Stamped commands are unsuitable for both robots.
 //!
 //! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 
