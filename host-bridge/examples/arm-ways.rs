@@ -1,9 +1,11 @@
-//! Plans paths between random poses of an arm from a URDF, and writes them for the checker `tests/arms/check.py`.
+//! Plans paths between random poses of an arm from a URDF.
+//! The checker `tests/arms/check.py` reads the output.
 //!
 //! ```text
 //! cargo run -p host-bridge --features urdf --example arm-ways -- OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS
 //! ```
-//! If ROOT or TIP is `-`, the URDF's own is used. The arm stands on a post between two boxes of the arm's size.
+//! If ROOT or TIP is `-`, the URDF's own link is used.
+//! The arm stands on a post between two boxes of the arm's size.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

@@ -83,7 +83,7 @@ impl Stage {
     }
 }
 
-/// The simulator as a robot whose speed commands are also published on a graph.
+/// The simulator as a robot, combined with a graph on which its speed commands are also published.
 pub struct Echoed<R> {
     /// The robot.
     pub simulator: Simulator,

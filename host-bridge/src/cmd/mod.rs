@@ -1,4 +1,4 @@
-//! One file per command, with its options and its implementation.
+//! The commands. Each command has one file with its options and its implementation.
 
 #[cfg(all(feature = "ros2", feature = "urdf"))]
 pub mod arm;

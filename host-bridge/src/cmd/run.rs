@@ -1,4 +1,4 @@
-//! `host-bridge run`: the user steers the robot with boards, or with keys in their place.
+//! `host-bridge run`: the user drives the robot with boards, or with keys that replace boards.
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -206,7 +206,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
-    // The session counts as busy until the control thread has reported its state.
+    // Until the control thread has reported its state, the session counts as busy.
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {

@@ -185,7 +185,7 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
         assert!(header.starts_with("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n"));
         let recording = Recording::read(&file).unwrap();
         assert_eq!((recording.axes(), recording.len()), (9, 150));
-        // The recorded samples are a part of the board's recording, with an error of at most half a count.
+        // The recorded samples are a part of the board's recording. Their error is at most half a count.
         let played = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let played = Recording::read(&played).unwrap().resampled();
         let near = |a: &[f32], b: &[f32]| (0..9).all(|i| (a[i] - b[i]).abs() <= [0.004, 0.041, 0.013][i / 3]);

@@ -1,7 +1,7 @@
 //! Runs the program between boards behind pseudo-terminals and an independent robot on the ROS 2 graph.
 //! The robot is `tests/ros2/peer.py` on Eclipse Cyclone DDS.
-//! `cargo xtask test --only "ROS 2"` runs these tests and sets BIMANUAL_ROS2_PYTHON to an interpreter
-//! with the packages.
+//! `cargo xtask test --only "ROS 2"` runs these tests.
+//! It sets BIMANUAL_ROS2_PYTHON to an interpreter with the packages.
 //!
 //! If the system permits it, each test creates its own network namespace, so that tests do not disturb each other.
 
@@ -75,7 +75,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     println!("tilt, decision to robot: median {middle_ms:.2} ms, worst {worst_ms:.2} ms of 20");
     assert!(!lateness.was_quiet() || middle_ms <= DECISION_MS);
 
-    // After a stop, zero is repeated at 50 Hz for a second, and then nothing is sent.
+    // After a stop, zero is repeated at 50 Hz for a second. Then nothing is sent.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     let driven = robot.listen(Duration::from_millis(1000));
@@ -88,7 +88,8 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let since = |v: &&(f64, Value)| number(&v.1["t"]) >= number(&zero["t"]);
     let zeros: Vec<_> = robot.seen.iter().filter(since).filter_map(|(_, v)| speed(v)).collect();
     assert!(zeros.iter().all(|speed| *speed == (0.0, 0.0)), "{zeros:?}");
-    // The controllers' quality of service on Fast DDS stores only the newest message, so a busy robot misses some.
+    // The controllers' quality of service on Fast DDS stores only the newest message.
+    // A busy robot therefore misses some.
     let least = if is_rclpy() { 15 } else { 40 };
     assert!((least..=60).contains(&zeros.len()), "zero is sent {} times, not 50", zeros.len());
 
@@ -153,12 +154,13 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
 
     // A stop in the middle of a motion cancels the motion.
     // The arm runs in wall-clock time, but the hand does not.
-    // On a busy machine only a slow motion is certain to be unfinished in both times.
+    // On a busy machine, only a slow motion is certain to be still running by both clocks.
     robot.order("pace 1");
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    // This fast arm may report a goal as reached early; such goals are also cancelled, because they might continue.
+    // This fast arm may report a goal as reached early.
+    // Goals that were reported early are cancelled too, because they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
@@ -217,7 +219,8 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert!((0..2).all(|i| number(&far["speed_covariance"][i]) > 0.0), "{far}");
     let moved = viewer.wait("the transform", |v| is(v, "tf") && v["child"] == "base_link");
     assert!(number(&moved["position"][0]) >= 0.2, "{moved}");
-    // Subscribers that existed before the description receive it, and it matches the other published data.
+    // Subscribers that existed before the description receive it.
+    // The description matches the other published data.
     let described = viewer.has("the description", |v| is(v, "description"));
     let links = described["links"].as_array().unwrap();
     assert_eq!(links.len(), 10, "base, arm, seven links and the flange: {described}");
@@ -233,7 +236,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     bridge.has("the robot was seen", |v| {
         is(v, "robot") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
     });
-    // A busy machine may read earlier messages somewhat later.
+    // On a busy machine, earlier messages may be read somewhat later.
     let is_quiet = |_| !viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom"));
     assert!((0..20).any(is_quiet));
 
@@ -258,7 +261,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     robot.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "arm = 'topic'\n", &options);
-    // Without joint angles no motion is planned, and the reason is reported.
+    // Without joint angles, no motion is planned, and the reason is reported.
     robot.order("joints off");
     bridge.has("a refusal", |v| {
         is(v, "motion-refused") && v["reason"].as_str().unwrap().contains("joint_state_broadcaster")
@@ -410,7 +413,7 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
     }
 }
 
-/// Returns the arm's angles with the times of their report or display, in order.
+/// Returns the arm's angles in order, with the times at which they were reported or displayed.
 fn angles(seen: &[(f64, Value)], event: &str) -> Vec<(f64, Vec<f64>)> {
     let joints = |v: &Value| v["position"].as_array().unwrap().iter().map(number).collect();
     seen.iter().filter(|(_, v)| is(v, event)).map(|(_, v)| (number(&v["t"]), joints(v))).collect()
@@ -459,8 +462,10 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
-            // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
-            // The newest report before that time counts, with a tolerance for the different clocks of two programs.
+            // The displayed angles must equal the reported angles exactly.
+            // The displayed angles therefore cannot come from the simulator.
+            // The newest report before that time is compared,
+            // with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
@@ -539,7 +544,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     left.hold(BENT);
     robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
 
-    // The publisher of the e-stop has stopped running.
+    // The publisher of the e-stop no longer runs.
     button.order("quit");
     bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
 }
@@ -547,7 +552,8 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // The limit is the braking time at the paper's scaling, plus one cycle of the controllers and one of their observer.
+    // The limit is the braking time at the paper's scaling.
+    // One cycle of the controllers and one cycle of the observer are added.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
@@ -572,7 +578,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
             let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
-            // A busy machine may halt the robot meanwhile, in which case both motions start again.
+            // A busy machine may halt the robot meanwhile. In this case, both motions start again.
             loop {
                 drive_forward(&desk, &left, &mut robot);
                 let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
@@ -618,7 +624,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     }
 }
 
-/// A participant announcement of RTPS 2.3 (8.5.3.2, 9.4.5, 9.6.2), which makes its sender visible on the graph.
+/// A participant announcement of RTPS 2.3 (8.5.3.2, 9.4.5, 9.6.2). It makes its sender visible on the graph.
 fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     let mut parameters = Vec::new();
     let mut put = |id: u16, value: &[u8]| {
@@ -657,7 +663,8 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The DDS library uses about 650 bytes per participant, and mutated announcements can add a hundred participants.
+    // The DDS library uses about 650 bytes per participant.
+    // Mutated announcements can add a hundred participants.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),
@@ -693,7 +700,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
             }
         }
         let memory_mb = used(bridge.process.id()).0;
-        // If this machine was too slow for the board, the program has halted, which is correct.
+        // If this machine was too slow for the board, the program has halted. That is correct.
         bridge.catch_up();
         if !bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v)) {
             left.hold(LEVEL);
@@ -717,7 +724,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One incorrect setup, and the report that `doctor` must print.
+/// An incorrect setup, with the report that `doctor` must print for it.
 struct Wrong {
     what: &'static str,
     /// Options of each robot; an empty list means that there is no robot.
@@ -830,7 +837,7 @@ fn doctor_tries_and_names_what_is_wrong() {
             assert!(text.contains(word), "{word} in\n{text}");
         }
     }
-    // The setups run in small groups, because each one is a program that listens for 4 s.
+    // The setups run in small groups. Each setup is a program that listens for 4 s.
     for some in setups.chunks(6) {
         std::thread::scope(|scope| {
             for setup in some {
@@ -901,7 +908,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     let iptables = |verb: &str| net(&[&["iptables", verb][..], &rule[..], &["-j", "DROP"][..]].concat());
     iptables("-A");
     let (start, start_s) = (Instant::now(), wall_s());
-    // Forward and level alternate, so that an out-of-date command would be wrong.
+    // Forward and level alternate. An out-of-date command would therefore be wrong.
     let mut forward = true;
     while start.elapsed().as_secs_f64() < lossy_s {
         desk.pass(Duration::from_millis(700));
@@ -1062,7 +1069,7 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     ) else {
         return;
     };
-    // For each middleware one gripper type is tested, and with --full both types.
+    // For each middleware, one gripper type is tested. With --full, both types are tested.
     let kinds = ["command", "parallel"];
     let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
     for kind in kinds {
@@ -1077,8 +1084,8 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     }
 }
 
-/// A robot whose gripper uses this kind of action. The joint's positions are 0 (open), 0.08 (closed), and
-/// 0.03 (stopped by an object).
+/// A robot whose gripper uses this kind of action.
+/// The joint's positions are 0 (open), 0.08 (closed), and 0.03 (stopped by an object).
 pub(super) fn grips_with(kind: &str) -> [&str; 4] {
     ["--gripper", kind, "--blocked", "0.03"]
 }
@@ -1098,10 +1105,10 @@ pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Tell
     };
     let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
-    // A stall on the object counts as success, and the distance of the fingers is reported: 5/8 of 85 mm.
+    // A stall on the object counts as success. The reported distance of the fingers is 5/8 of 85 mm.
     let asked = robot.has("it is asked to close", asks(0.08));
     println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
-    // The wearer's earlier gestures are ignored, because a program that started slowly may have missed some.
+    // The wearer's earlier gestures are ignored. A program that started slowly may have missed some of them.
     let then_s = number(&asked["t"]);
     let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
     println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
@@ -1164,7 +1171,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     let off = there.iter().zip(raised).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     println!("taught {off:.4} rad from where it was sent");
     assert!(off < 0.01, "{there:?}");
-    // Without a terminal the program asks no question, and a missing pose is reported by its name.
+    // Without a terminal, the program asks no question. A missing pose is reported by its name.
     let (done, said) = teach(&["raised", "--play"]);
     assert!(!done && said.contains("--yes"), "{said}");
     let (done, said) = teach(&["nowhere", "--play", "--yes"]);

@@ -1,4 +1,5 @@
-//! Simulated boards on a desk. They run the boards' own code with recordings, and tests can unplug and restart them.
+//! Simulated boards on a desk. They run the boards' own code with recordings.
+//! Tests can unplug and restart the boards.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -112,7 +113,7 @@ struct Machine {
     decoder: Decoder<HOST_FRAME_MAX>,
     asked: Mode,
     boot_id: u32,
-    /// Time since power-on, and time of the last start.
+    /// Time since power-on, and the time of the last start.
     now_ms: u64,
     started_ms: u64,
     has_battery: bool,

@@ -13,7 +13,7 @@ const EXTENT_MAX_M: f64 = 5.0;
 /// Returns the corners of the mesh in a file with this name, scaled, in m.
 ///
 /// # Errors
-/// The problem with the mesh, as a text for users.
+/// Returns the problem with the mesh, as a text for users.
 pub fn points(name: &str, bytes: &[u8], scale: DVec3) -> Result<Vec<Point>, String> {
     let ending = name.rsplit('.').next().unwrap_or("").to_ascii_lowercase();
     let raw = match ending.as_str() {

@@ -5,7 +5,7 @@ use host_robot::{DVec3, Pose};
 
 /// Maximum number of steps in the search for a plane between two bodies.
 const STEPS: usize = 80;
-/// The search ends when the plane is this close to the best possible one, in m.
+/// The search ends when the plane is within this distance of the best possible plane, in m.
 const GOOD_M: f64 = 2e-4;
 
 /// The convex hull of some points, enlarged by a radius.
@@ -32,8 +32,9 @@ impl Solid {
     /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
     ///
     /// The method is Frank and Wolfe's (1956; pairwise steps by Lacoste-Julien and Jaggi 2015).
-    /// It approaches the nearest points of two convex bodies. Each direction on the way may give a plane between them.
-    /// The returned distance is the one that the best plane proves.
+    /// The search approaches the nearest points of two convex bodies.
+    /// Each direction that occurs in this search may give a separating plane.
+    /// The returned distance is the one that the best of these planes proves.
     pub fn apart_m(&self, other: &Solid) -> f64 {
         let (Some(first), Some(second)) = (self.points_m.first(), other.points_m.first()) else {
             return f64::INFINITY;
@@ -53,7 +54,7 @@ impl Solid {
             let along = parts.iter().map(|(part, _)| part.dot(direction)).enumerate();
             let Some((furthest, _)) = along.max_by(by) else { break };
             let (from, share) = parts[furthest];
-            // The weight of the furthest corner moves to the nearest one, as far as this helps.
+            // Moves as much weight as useful from the furthest corner to the nearest corner.
             let step = nearest - from;
             let length = step.length_squared();
             if length == 0.0 {

@@ -1,4 +1,4 @@
-//! Sends a model to a board in pieces and processes the acknowledgements. Sans-IO.
+//! Sends a model to a board in pieces, and processes the board's acknowledgements. Sans-IO.
 //!
 //! ```text
 //! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
@@ -12,7 +12,7 @@ use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX,
 
 use crate::talk::{ModelNeeds, advice};
 
-/// A request is repeated after this long without an answer.
+/// A request without an answer is repeated after this time.
 const REPEAT_MS: u64 = 1000;
 /// `Begin` takes longer, because the board erases four pages of flash.
 const REPEAT_BEGIN_MS: u64 = 3000;
@@ -101,7 +101,8 @@ impl Upload {
         (done, self.blob.len())
     }
 
-    /// Returns the message to send now, if any: once, and again if no answer arrives.
+    /// Returns the message to send now, if any.
+    /// Each message is returned once. It is returned again if no answer arrives.
     /// Call [`Upload::unsent`] if the link did not accept the message.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =

@@ -1,4 +1,5 @@
-//! The robot on the graph as a [`Robot`]: the decisions about messages, and the node that sends them.
+//! Implements [`Robot`] for the robot on the graph.
+//! It combines the decisions about messages with the node that sends the messages.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -33,7 +34,7 @@ impl RosDriver {
         Arc::clone(&self.counts)
     }
 
-    /// A refusal of the complete robot applies to each of its parts.
+    /// A refusal of the entire robot applies to each of its parts.
     fn may_move(&self) -> Result<(), String> {
         self.refusal.clone().map_or(Ok(()), Err)
     }

@@ -2,7 +2,7 @@
 //! Types with the same name but different hashes are incompatible.
 //! `tests/ros2/hashes.py` compares this table with Jazzy's own packages.
 
-/// ROS types with their hashes. An action is listed by those of its parts that have their own topics.
+/// ROS types with their hashes. For an action, the table lists those of its parts that have their own topics.
 const HASHES: [(&str, &str); 36] = [
     (
         "action_msgs/msg/GoalStatusArray",

@@ -1,4 +1,5 @@
-//! Converts a motion's steps to a sequence of acts. It plans or refuses all of them before anything moves.
+//! Converts the steps of a motion to a sequence of acts.
+//! All acts are planned or refused before anything moves.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use crate::things::{Things, Touch, in_scene};
 
 use super::{Director, REST_RAD_S, Site, still_moves};
 
-/// Distance by which a hand retreats from an object before it moves freely.
+/// Distance by which a hand backs away from an object before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
 /// Distance by which a standing object is lifted.
 const LIFT_M: f64 = 0.05;
@@ -28,7 +29,8 @@ pub(super) enum Act {
     /// The arm follows this.
     Follow {
         trajectory: Arc<Trajectory>,
-        /// Time at which the arm rests at home before it continues; 0 if it does not.
+        /// Time at which the arm rests at its home pose before it continues;
+        /// 0 if the path does not lead through home.
         home_s: f64,
         touch: Touch,
     },
@@ -58,7 +60,7 @@ struct Draft {
     placement: Placement,
     /// The planning budget shared by all steps of a motion.
     purse: Purse,
-    /// Sets apart plans that are otherwise alike.
+    /// A number that distinguishes plans that are otherwise equal.
     turn: u64,
 }
 
@@ -69,7 +71,7 @@ impl Draft {
 
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
-        // Consecutive legs form one trajectory: the arm rests between them, and nothing is checked again.
+        // Consecutive legs form one trajectory. The arm rests between them, and no new check is needed.
         if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
             && *same == touch
         {
@@ -80,7 +82,7 @@ impl Draft {
     }
 }
 
-/// All that a motion is planned from: a copy of how things are, so that it can be planned elsewhere.
+/// The input of planning: a copy of the current state, so that planning can run on another thread.
 #[derive(Debug)]
 pub(super) struct Task {
     plot: Plot,
@@ -88,29 +90,29 @@ pub(super) struct Task {
     draft: Draft,
 }
 
-/// What does not change while it is planned.
+/// The data that does not change during planning.
 #[derive(Debug)]
 struct Plot {
     site: Site,
-    /// Of the robot; with a scene the planner has its own.
+    /// The robot's limits; in a scene, the planner has its own limits.
     limits: JointLimits,
-    /// How often the motion has run, for those that draw.
+    /// Number of earlier runs of the motion, for motions with random poses.
     draw: usize,
 }
 
 impl Task {
-    /// Where the base and the things were, as it takes them.
+    /// Returns the placement of the base and the objects on which the plan relies.
     pub(super) fn taken(&self) -> (Placement, Things) {
         (self.draft.placement, self.draft.things.clone())
     }
 
-    /// Who sets this lets it end soon, without a plan.
+    /// Sets a flag with which the owner can end planning early, without a plan.
     pub(super) fn ended_by(mut self, ends: Arc<AtomicBool>) -> Self {
         self.draft.purse = self.draft.purse.ended_by(ends);
         self
     }
 
-    /// The acts, or why there is no safe one.
+    /// Returns the acts, or the reason why no safe sequence exists.
     pub(super) fn plan(self) -> Result<VecDeque<Act>, String> {
         let Task { plot, steps, mut draft } = self;
         for (i, step) in steps.iter().enumerate() {
@@ -129,7 +131,7 @@ impl Task {
 }
 
 impl<R: Robot> Director<R> {
-    /// What is to be planned for a motion, from how things are now.
+    /// Returns the planning task for a motion, based on the current state.
     pub(super) fn task(&mut self, motion: &MotionName) -> Result<Task, String> {
         let steps = self.motions.get(motion.as_str()).map_err(|error| error.to_string())?.steps;
         let grips = steps.iter().any(|step| matches!(step, Step::Grip { .. }));
@@ -138,7 +140,7 @@ impl<R: Robot> Director<R> {
             self.robot.can_grip()?;
         }
         let draft = self.draft(moves, grips || steps.len() > 1)?;
-        // Each step takes one plan at most.
+        // Each step needs at most one plan.
         self.plans += steps.len() as u64;
         let plot = Plot {
             site: self.site.clone(),
@@ -246,7 +248,7 @@ impl Plot {
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
-    /// To these angles: through home, or along the planned path.
+    /// Moves to these angles: via the home pose, or along the planned path.
     fn go_freely(&self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = self.site.arm();
         let from_rad = draft.from_rad;
@@ -274,7 +276,8 @@ impl Plot {
         Ok(())
     }
 
-    /// Moves the flange straight. Next to a gripper step, it may touch the object and its support.
+    /// Moves the flange in a straight line.
+    /// Next to a gripper step, the hand may touch the object and its support.
     fn go_straight(
         &self,
         target: &Pose,
@@ -308,7 +311,7 @@ impl Plot {
         Ok(())
     }
 
-    /// Retreats from an object, or lifts the held object, before the hand moves freely.
+    /// Backs away from an object, or lifts the held object, before the hand moves freely.
     fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
         let Some(part) = self.is_at_something(draft) else { return Ok(()) };
         let here = self.site.arm().flange_pose(&draft.from_rad);
@@ -333,7 +336,7 @@ impl Plot {
         let part = near_m(&draft.things)?;
         let here = self.site.flange(draft.placement, &draft.from_rad);
         let touch = self.site.shop().touching(&draft.things, &here);
-        // This applies only if the close object is the hand's own.
+        // This exception applies only if the close object is the object that the hand grips.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }
@@ -362,7 +365,7 @@ impl Plot {
         let closes_on = opening_m == 0.0;
         let flange = self.site.flange(draft.placement, &draft.from_rad);
         if let Some(planner) = self.site.planner() {
-            // The fingers need room at both ends of their range.
+            // The fingers need free space at both ends of their range.
             for width_m in [draft.things.opening_m, Some(opening_m)] {
                 let touch = shop.touching(&draft.things, &flange);
                 let things = Things { opening_m: width_m, touch, ..draft.things.clone() };

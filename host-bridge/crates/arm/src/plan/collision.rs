@@ -1,8 +1,8 @@
 //! Computes distances between the robot's parts, and to the surroundings.
 //!
-//! Checks between two configurations are exact and not sampled.
+//! Checks of the path between two configurations are exact; they are not sampled.
 //! A rotation moves no point of the arm further than the angle times the joint's lever.
-//! One distance therefore clears a whole part of the path ([`Surroundings::way_is_clear`]).
+//! One distance therefore clears a long part of the path ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 
@@ -16,10 +16,10 @@ use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
 use host_robot::{Odometry, Random};
 
-/// Maximum overlap with a support. The shapes around a held object are 6 mm larger; more than this would press it in.
+/// Maximum overlap with a support, because the shapes around a held object are 6 mm too large.
 const SINKS_M: f64 = 0.010;
 
-/// Links that are next but one to each other, and never nearer than this, are not looked at.
+/// Links that are two joints apart, and never closer than this distance, are not checked.
 const APART_M: f64 = 0.004;
 
 /// Where the base stands in the scene.
@@ -86,7 +86,7 @@ pub struct World {
     scene: Scene,
     lever_m: Joints,
     tool: Tool,
-    /// Pairs of links that can touch. The tool follows the last link, and then its fingers and the held object.
+    /// Pairs of links that can touch. Tool, fingers and held object follow the last link.
     pairs: Vec<(usize, usize)>,
     start: Things,
     notes: Vec<String>,
@@ -97,7 +97,7 @@ impl World {
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
         let tool = scene.tool();
-        // For any object that could be held, so that no bound changes while something is held.
+        // The bound covers any object that could be held, so it does not change while an object is held.
         let held_m = if tool.hand().is_none() {
             0.0
         } else {
@@ -115,11 +115,11 @@ impl World {
             notes: Vec::new(),
         };
         world.start = world.shop().at_start();
-        // Neighbours share a joint and always touch; its limits keep them apart.
+        // Adjacent links share a joint and always touch; the joint's limits keep them from colliding.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
-            // The tool is on the last link and has the same neighbours; a held object is a part of it.
+            // The tool and a held object have the same neighbours as the last link.
             let last = links - 1;
             let near = |one: usize| {
                 one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))
@@ -133,14 +133,14 @@ impl World {
 
     /// Some links touch in any configuration, because the arm's axes meet in a wrist.
     /// Checking such pairs would refuse every motion.
-    /// As in MoveIt's setup, they are ignored.
+    /// As in MoveIt's setup, such pairs are ignored.
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
         let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
-            // A pair that was clear once can collide. Usually, none is left after a few configurations.
+            // A pair that is clear once can collide. Usually, few configurations clear all such pairs.
             if always.is_empty() {
                 return;
             }
@@ -183,14 +183,14 @@ impl World {
         &self.notes
     }
 
-    /// Tool and objects according to the scene.
+    /// Returns the tool and the objects as the scene defines them.
     pub fn start(&self) -> &Things {
         &self.start
     }
 
-    /// Returns whether two links, two joints apart, can touch within the limits of those joints.
-    /// As in MoveIt's setup, pairs that never touch are ignored,
-    /// because their constant proximity would hide everything else.
+    /// Returns whether two links that are two joints apart can touch within the limits of those joints.
+    /// As in MoveIt's setup, pairs that never touch are ignored.
+    /// The constant proximity of such pairs would hide everything else.
     fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
@@ -211,7 +211,7 @@ impl World {
         })
     }
 
-    /// Two links are apart even though their capsules are not, as their solids prove.
+    /// Returns whether the solids of two links prove that they are apart, even though their capsules overlap.
     fn are_apart(&self, joints_rad: &Joints, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
         let of = |link: usize| -> Vec<Solid> {
@@ -224,11 +224,12 @@ impl World {
             }
         };
         let (one, two) = (of(one), of(two));
-        // Of links without solids nothing is known.
+        // For links without solids, nothing can be proved.
         !one.is_empty() && !two.is_empty() && one.iter().all(|a| two.iter().all(|b| a.apart_m(b) >= APART_M))
     }
 
-    /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
+    /// Returns the distance of two parts, whose shapes are sorted by part number.
+    /// If the distance exceeds `within_m`, the result may be any larger value.
     fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
         let of = |wanted: usize| {
             let start = shapes.partition_point(|(link, _)| *link < wanted);
@@ -239,7 +240,7 @@ impl World {
             let (a_m, a_reach_m) = a.bounds_m();
             for (_, b) in of(two) {
                 let (b_m, b_reach_m) = b.bounds_m();
-                // Balls around both are further apart already.
+                // The bounding spheres are already further apart.
                 if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
                     nearest_m = nearest_m.min(a.distance_m(b));
                 }
@@ -283,7 +284,7 @@ impl World {
         self.around_with(placement, &self.start)
     }
 
-    /// Like [`Self::around`], with the current tool and objects.
+    /// Like [`Self::around`], but with the current tool and objects.
     pub fn around_with<'w>(&'w self, placement: Placement, things: &'w Things) -> Surroundings<'w> {
         let mount_m = self.scene.base.mount_m;
         let from_world = DMat3::from_rotation_z(-placement.heading_rad);
@@ -348,7 +349,7 @@ impl World {
     }
 }
 
-/// The scene from the arm's point of view at one placement. It counts the checks.
+/// The scene from the arm's point of view at one placement. This type also counts the checks.
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
@@ -389,8 +390,9 @@ impl<'w> Surroundings<'w> {
         if own.distance_m < boxes.distance_m { own } else { boxes }
     }
 
-    /// Returns two separate distances: to the robot itself and the floor, which do not depend on the base's placement,
-    /// and to the boxes.
+    /// Returns two separate distances.
+    /// The first is to the robot itself and the floor, and is independent of the base.
+    /// The second is to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         if let Some(purse) = self.purse {
@@ -401,7 +403,7 @@ impl<'w> Surroundings<'w> {
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
-            // The arm's fixed base and first link are on the base and never come closer to it or to the floor.
+            // The arm's fixed base and first link never come closer to the mobile base or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
                 own.tighten(
@@ -426,7 +428,7 @@ impl<'w> Surroundings<'w> {
     }
 
     /// Returns the distance, or infinity if the two parts may touch.
-    /// On the straight path to or from an object, fingers may touch the object.
+    /// On the straight path to or from an object, the fingers may touch the object.
     /// A held object may touch its support, but must not sink into it.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = self.touch;
@@ -448,9 +450,9 @@ impl<'w> Surroundings<'w> {
         nearest
     }
 
-    /// Returns whether a straight line in joint space keeps half the margin everywhere,
-    /// and the full margin at checked configurations.
-    /// Without remaining checks, it is not clear.
+    /// Returns whether a straight line in joint space keeps half the margin everywhere.
+    /// The full margin applies at checked configurations.
+    /// If no checks remain, the line does not count as clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);
         !self.is_spent()
@@ -477,7 +479,7 @@ impl<'w> Surroundings<'w> {
         if distance_m < margin_m {
             return false;
         }
-        // After half of this part, no distance can be smaller than this one minus the swept distance.
+        // Within half of this part, no distance can be smaller than this one minus the swept distance.
         if distance_m - reach_m >= 0.5 * margin_m {
             return true;
         }
@@ -543,7 +545,7 @@ mod tests {
     #[test]
     fn boxes_stay_where_they_are_when_the_base_moves() {
         let world = world("[[box]]\nname = \"post\"\ncenter_m = [2.0, 0.5, 0.5]\nsize_m = [0.2, 0.2, 1.0]");
-        // Half of the base is 0.3 m long, so straight ahead the distance is 2.0 - 0.1 - 0.3.
+        // Half of the base's length is 0.3 m, so the distance straight ahead is 2.0 - 0.1 - 0.3.
         let at = |x_m, y_m, heading_rad| {
             world.around(Placement { x_m, y_m, heading_rad }).base_clearance().distance_m
         };

@@ -90,7 +90,7 @@ struct Kept {
     /// The message, with its writer.
     words: VecDeque<(Word, [u8; 16])>,
     servers: [FromServer; 2],
-    /// A stored message for late subscribers is ignored if it is older than a message that already arrived.
+    /// Times of the newest messages. A stored message for late subscribers is ignored if it is older.
     newest: BTreeMap<(Read, [u8; 16]), i64>,
 }
 
@@ -98,7 +98,7 @@ struct Kept {
 #[derive(Clone, Default)]
 pub struct Inbox {
     kept: Arc<Mutex<Kept>>,
-    /// Whether the newest message's attachment contains the names of its values, as in Jazzy.
+    /// Whether the attachment of the newest message names its values, as in Jazzy.
     pub is_labelled: Arc<AtomicBool>,
 }
 
@@ -178,7 +178,7 @@ impl Inbox {
         std::mem::take(&mut self.lock().servers[which as usize].answers)
     }
 
-    /// Returns the progress of its goals since the last call.
+    /// Returns the progress of the action's goals since the last call.
     pub fn take_progress(&self, which: Which) -> VecDeque<Vec<u8>> {
         std::mem::take(&mut self.lock().servers[which as usize].progress)
     }
@@ -212,7 +212,7 @@ mod tests {
             inbox.take_in(Read::Flag(0), &said(number, writer), &encode(&ros::Bool { data }));
         };
         flag(5, 1, true);
-        // Stored messages that were requested at the start of the subscription may arrive after newer ones.
+        // Stored messages are requested when a subscription starts. They may arrive after newer messages.
         flag(4, 1, false);
         flag(5, 1, false);
         flag(1, 2, false);

@@ -89,7 +89,8 @@ struct ZenohNode {
     /// The action client, if goals are used.
     arm: Option<Client>,
     gripper: Option<Gripper>,
-    /// Topics whose writers store their last message, and the writers that were already asked for it.
+    /// Topics whose writers store their last message.
+    /// The next field lists the writers that were already asked for their message.
     latched: Vec<(Read, Named)>,
     asked: BTreeSet<String>,
 }

@@ -24,7 +24,8 @@ const GOALS_MAX: usize = 64;
 /// A link without any data for this long is closed, in ms. Messages that the closed link had accepted are lost.
 /// TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
-/// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
+/// A link that accepts no data for this long (in µs) is also closed.
+/// No stop depends on this time, because base and arm have their own timeouts.
 const PATIENCE_US: &str = "60000000";
 
 /// Zenoh's own configuration.

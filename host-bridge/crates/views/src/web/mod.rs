@@ -1,4 +1,4 @@
-//! The page, which displays a session in a browser and is served by this program.
+//! The web page, which shows a session in a browser. This program serves the page.
 //!
 //! ```text
 //! session loop ─► Watcher (an Observer) ─► Board: newest state, last seconds ─► a thread per page ─► browser
@@ -12,7 +12,8 @@
 //! * `watcher`: fills the history from the tap,
 //! * `client`: the WebSocket of one page.
 //!
-//! The session never waits for a page. The watcher writes to a bounded history, and each page's thread reads from it.
+//! The session never waits for a page.
+//! The watcher writes to a bounded history, and each page's thread reads from there.
 //! A page has at most [`IN_FLIGHT_MAX`] unacknowledged frames.
 //! A slow page misses states but no events, and never receives outdated states.
 //!
@@ -87,7 +88,7 @@ impl Shared {
         true
     }
 
-    /// After a panic in another thread, the list of points may be incomplete but is still valid.
+    /// After a panic in another thread, the list of points may be incomplete, but it is still valid.
     fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
