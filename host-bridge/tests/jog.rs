@@ -17,7 +17,7 @@ use support::{Rig, Virtual as _, moving};
 
 /// The label of the clutch among the rig's.
 const CIRCLE: u8 = 6;
-/// The braking time v/a at the paper's scaling, plus the time of the frame in transit.
+/// The braking time v/a with the paper's speed and acceleration limits, plus the transit time of one frame.
 const BRAKING_MS: u64 = 326 + 20;
 
 struct Wearer {

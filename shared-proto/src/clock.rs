@@ -99,7 +99,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A clock with one round trip: the ping was sent at 1000, and the board showed 0.
+    /// A clock that has heard one answer: the ping was sent at 1000, when the board's clock showed 0.
     fn anchored() -> BoardClock {
         let mut clock = BoardClock::new();
         assert!(clock.pong(0, 1000, 1004));

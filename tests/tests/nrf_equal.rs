@@ -179,8 +179,8 @@ struct Resampled {
 ///
 /// Between two rows the hand moves along a straight line.
 /// Let m and m' be the slopes before and after a row, in counts per ms.
-/// The sensor takes a set every p ms and rounds it, which adds half a count.
-/// The grid interpolates linearly between sets and rounds again, which adds half a count.
+/// The sensor measures every p ms and rounds the values. This rounding adds an error of up to half a count.
+/// The grid interpolates linearly between measurements and rounds again, which adds up to half a count more.
 /// An interpolation across the corner at a row has an error of at most |m' − m| · p / 4.
 /// A time error of [`TIMING_MS`] adds its product with the steeper slope.
 /// The magnetometer (80 Hz) is not interpolated: its newest value was taken between the previous and the next row.

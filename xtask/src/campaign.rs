@@ -88,7 +88,7 @@ const FAULTS: &[Fault] = &[
     with(
         Needs::Cyclone,
         fault(
-            "stopped and continued, killed, on the wall's clock and in simulated time",
+            "a bridge that is stopped and continued, or killed, in real and in simulated time",
             LIVE,
             &["live::ros2::a_killed"],
         ),

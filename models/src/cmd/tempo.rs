@@ -100,7 +100,7 @@ impl Cmd {
 /// Returns the gestures of a data set at another tempo, omitting tempos that hands do not have.
 fn at(all: &Dataset, factor: f64, range: f64) -> Dataset {
     let gestures = all.filtered(|item| !is_rest(&item.label));
-    // The strongest movements of `other` reach the limits of the sensor.
+    // Movements labelled `other` are left out: the strongest of them saturate the sensor.
     let items = gestures.items.par_iter().filter_map(|item| {
         let hz = strokes_per_second(&item.recording)?;
         STROKES_HZ.contains(&(hz * factor)).then(|| {

@@ -129,7 +129,7 @@ impl GestureDecision {
         self.resting = 0;
     }
 
-    /// Returns whether the label with this index is rest.
+    /// Returns whether the label with this index means that the hand rests.
     pub fn is_rest_label(&self, label: u8) -> bool {
         label < 16 && self.rest_labels & (1 << label) != 0
     }

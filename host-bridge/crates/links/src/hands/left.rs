@@ -185,7 +185,7 @@ mod tests {
     fn samples_that_come_a_little_early_or_late_are_all_taken() {
         let jitter = |n: u64| [0, 3, 5, 1][n as usize % 4];
         let states = play(LeftBoard::new(still((0..200).map(|n| 10 * n + jitter(n))), None, 1));
-        // There is one state for every two samples, and an immediate state for the first neutral sample.
+        // The board sends one state for every two samples, and one more at once for the first neutral sample.
         assert!((100..=101).contains(&states.len()), "{}", states.len());
         assert!(states.iter().all(|s| s.health == health::DEFAULT_CALIBRATION));
     }

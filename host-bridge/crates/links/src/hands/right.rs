@@ -18,7 +18,7 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualRight, no_store};
 use host_core::observe::Sample;
 
-/// The value of one count in record mode in m/s², deg/s and µT, as for the right board's sensor.
+/// The values of one count in m/s², deg/s and µT, which equal those of the right board in record mode.
 const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-aligned.tflite");

@@ -121,7 +121,8 @@ impl Disk {
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
     }
 
-    /// Returns once the reason why writing has stopped. The data written so far is preserved.
+    /// Returns the reason why writing has stopped, but only on the first call after that.
+    /// The data written so far is preserved.
     pub fn take_problem(&mut self) -> Option<String> {
         if self.told {
             return None;

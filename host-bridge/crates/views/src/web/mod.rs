@@ -162,7 +162,8 @@ impl Web {
         move || shared.show.swap(false, Ordering::SeqCst)
     }
 
-    /// Takes the marks that pages have made, one per call, for another thread. It never waits.
+    /// Returns a function for another thread. Each call removes and returns the oldest mark that a page has made.
+    /// The function never waits.
     pub fn marks(&self) -> impl Fn() -> Option<Mark> + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()
