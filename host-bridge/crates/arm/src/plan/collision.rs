@@ -7,7 +7,7 @@
 use std::cell::Cell;
 
 use crate::model::SerialArm;
-use crate::plan::hulls::{Hulls, NEAR_M, OnFlange};
+use crate::plan::hulls::{Hulls, NEAR_M, OnFlange, capsules_m};
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
 use crate::solid::Solid;
@@ -118,6 +118,7 @@ impl World {
         world.start = world.shop().at_start();
         // Neighbours share a joint and always touch; its limits keep them apart.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
+        let pairs = pairs.filter(|&(one, two)| !world.arm.is_telescope(one, two));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
             // The tool is on the last link and has the same neighbours; a held object is a part of it.
@@ -210,28 +211,8 @@ impl World {
     fn touch(&self, joints_rad: &Joints, on_flange: &OnFlange, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
         let shapes = self.shapes(&poses, on_flange);
-        World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0
+        capsules_m(&shapes, one, two, f64::INFINITY) <= 0.0
             && Hulls { arm: &self.arm, on_flange, poses: &poses }.pair_m(one, two, APART_M) < APART_M
-    }
-
-    /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
-    fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
-        let of = |wanted: usize| {
-            let start = shapes.partition_point(|(link, _)| *link < wanted);
-            &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
-        };
-        let mut nearest_m = within_m;
-        for (_, a) in of(one) {
-            let (a_m, a_reach_m) = a.bounds_m();
-            for (_, b) in of(two) {
-                let (b_m, b_reach_m) = b.bounds_m();
-                // Balls around both are further apart already.
-                if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
-                    nearest_m = nearest_m.min(a.distance_m(b));
-                }
-            }
-        }
-        nearest_m
     }
 
     /// The arm.
@@ -404,8 +385,9 @@ impl<'w> Surroundings<'w> {
             // The arm's fixed base and first link are on the base and never come closer to it or to the floor.
             if link >= 2 {
                 let base_m = shape.distance_to_box_m(&self.base);
-                let base_m =
-                    exact_m(base_m, own.distance_m, &|least_m| hulls.to_m(link, &self.base_solid, least_m));
+                let base_m = exact_m(base_m, own.distance_m, &|least_m| {
+                    hulls.part_from_m(link, &self.base_solid, least_m)
+                });
                 own.tighten(base_m, part, Part::Base);
                 own.tighten(
                     self.allowed_m(shape.lowest_m() - self.floor_m, part, Part::Floor),
@@ -417,15 +399,16 @@ impl<'w> Surroundings<'w> {
             for ((other, obstacle), solid) in self.boxes.iter().zip(&self.solids) {
                 if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
                     let distance_m = shape.distance_to_box_m(obstacle);
-                    let distance_m =
-                        exact_m(distance_m, boxes.distance_m, &|least_m| hulls.to_m(link, solid, least_m));
+                    let distance_m = exact_m(distance_m, boxes.distance_m, &|least_m| {
+                        hulls.part_from_m(link, solid, least_m)
+                    });
                     let distance_m = self.allowed_m(distance_m, part, *other);
                     boxes.tighten(distance_m, part, *other);
                 }
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = World::pair_distance_m(&shapes, one, two, own.distance_m);
+            let distance_m = capsules_m(&shapes, one, two, own.distance_m);
             let distance_m = exact_m(distance_m, own.distance_m, &|least_m| hulls.pair_m(one, two, least_m));
             own.tighten(distance_m, world.part(one), world.part(two));
         }

@@ -72,8 +72,8 @@ impl Hulls<'_> {
         nearest_m
     }
 
-    /// The proven distance of a part to a body in the arm's frame, or anything beyond `enough_m`.
-    pub fn to_m(&self, link: usize, body: &Solid, enough_m: f64) -> f64 {
+    /// The proven distance of a part from a body in the arm's frame, or anything beyond `enough_m`.
+    pub fn part_from_m(&self, link: usize, body: &Solid, enough_m: f64) -> f64 {
         let (solids, here) = self.of(link);
         if solids.is_empty() {
             return UNKNOWN;
@@ -82,4 +82,24 @@ impl Hulls<'_> {
             |nearest_m: f64, a: &Solid| nearest_m.min(a.apart_at_m(&here, body, &Pose::IDENTITY, nearest_m));
         solids.iter().fold(enough_m, apart)
     }
+}
+
+/// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
+pub(super) fn capsules_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
+    let of = |wanted: usize| {
+        let start = shapes.partition_point(|(link, _)| *link < wanted);
+        &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
+    };
+    let mut nearest_m = within_m;
+    for (_, a) in of(one) {
+        let (a_m, a_reach_m) = a.bounds_m();
+        for (_, b) in of(two) {
+            let (b_m, b_reach_m) = b.bounds_m();
+            // Balls around both are further apart already.
+            if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
+                nearest_m = nearest_m.min(a.distance_m(b));
+            }
+        }
+    }
+    nearest_m
 }
