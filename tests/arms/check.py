@@ -35,7 +35,7 @@ ARMS = {
     "xarm7": (f"{ROBOTS}/xarm_description/urdf/xarm7.urdf", "link_base", "link7"),
     "so100": (f"{ROBOTS}/so_arm_description/urdf/so100.urdf", "-", "-"),
     "so101": (f"{ROBOTS}/so_arm_description/urdf/so101.urdf", "base_link", "gripper_link"),
-    "tiago": (f"{ROBOTS}/tiago_description/robots/tiago.urdf", "torso_fixed_link", "arm_tool_link"),
+    "tiago": (f"{ROBOTS}/tiago_description/robots/tiago.urdf", "-", "arm_tool_link"),
     "j2s6s200": (f"{ROBOTS}/kinova_description/robots/kinova.urdf", "j2s6s200_link_base", "j2s6s200_end_effector"),
     "z1": (f"{ROBOTS}/z1_description/urdf/z1.urdf", "-", "-"),
     "pr2": (f"{ROBOTS}/pr2_description/urdf/pr2.urdf", "torso_lift_link", "r_gripper_palm_link"),
