@@ -410,7 +410,7 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Tests two arms if the packages for these checks are installed. With `--full`, tests five arms and a Gen3 with tools.
+/// Tests two arms if the packages for these checks are installed. With `--full`, tests ten arms and a Gen3 with tools.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
@@ -426,8 +426,10 @@ fn arms() -> Result<()> {
     if !is_full() {
         return sh(check.args(["6", "panda", "so101"]));
     }
-    // For the other arms in its list, tests/arms/check.py can report what they touch, or why no plan exists.
-    sh(check.args(["30", "panda", "xarm7", "so100", "so101", "z1"]))?;
+    // For the other arms in its list, tests/arms/check.py reports what they touch, or why no plan exists, if it is asked.
+    sh(check.args([
+        "30", "panda", "xarm7", "so100", "so101", "z1", "j2s6s200", "pr2", "stretch", "ur5", "ur10",
+    ]))?;
     sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
     let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
     let mut gen3 = Command::new(python);

@@ -34,7 +34,7 @@ impl Budget {
 }
 
 /// Number of steps before a start is abandoned.
-const STEPS_PER_START: usize = 100;
+const STEPS_PER_START: usize = 40;
 
 /// Maximum error of a solution in m and in rad.
 pub const TOLERANCE: f64 = 1e-9;

@@ -147,6 +147,19 @@ impl SerialArm {
         self.name == GEN3
     }
 
+    /// Returns whether two links (the foot is 0) are tubes of one telescope: all joints between them slide along one line.
+    /// Such tubes lie within each other by design, and the joints' limits keep them apart.
+    pub fn is_telescope(&self, one: usize, two: usize) -> bool {
+        let Some(between) = self.joints.get(one..two) else { return false };
+        let mut turn = DMat3::IDENTITY;
+        let mut first = None;
+        between.iter().all(|joint| {
+            turn *= joint.origin_rotation;
+            let axis = turn * joint.axis;
+            joint.slides && axis.dot(*first.get_or_insert(axis)) > 0.999_999
+        })
+    }
+
     /// Returns the frames of the joints, and of the flange last, in the arm's base frame.
     /// Frames of joints that the arm does not have equal the flange's.
     pub fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
@@ -298,6 +311,22 @@ mod tests {
             assert_eq!(limits.velocity_rad_s[i], fastest_rad_s * 0.1);
             assert_eq!(limits.acceleration_rad_s2[i], 8.6 * 0.05);
         }
+    }
+
+    #[test]
+    fn only_links_that_slide_along_one_line_are_a_telescope() {
+        let mut arm = SerialArm::gen3();
+        for joint in &mut arm.joints[2..5] {
+            (joint.slides, joint.origin_rotation, joint.axis) = (true, DMat3::IDENTITY, DVec3::X);
+        }
+        assert!(arm.is_telescope(2, 4) && arm.is_telescope(2, 5) && arm.is_telescope(3, 5));
+        assert!(!arm.is_telescope(1, 3) && !arm.is_telescope(4, 6), "a joint between them turns");
+        arm.joints[3].axis = DVec3::Y;
+        assert!(!arm.is_telescope(2, 4) && !arm.is_telescope(3, 5), "along two lines");
+        arm.joints[3].axis = DVec3::X;
+        arm.joints[3].origin_rotation = DMat3::from_rotation_z(0.1);
+        assert!(!arm.is_telescope(2, 4));
+        assert!(!arm.is_telescope(6, 9), "there is no such link");
     }
 
     #[test]

@@ -148,7 +148,7 @@ impl Found {
         if let Geometry::Mesh { filename, .. } = &collision.geometry {
             if let Some(points) = hull_points(filename) {
                 self.capsules.extend(crate::hull::capsules(&points).iter().map(|c| c.seen_from(&pose)));
-                self.solids.push(Solid { points_m: points, radius_m: 0.0 }.seen_from(&pose));
+                self.solids.push(Solid::around(&points).seen_from(&pose));
             }
             return;
         }

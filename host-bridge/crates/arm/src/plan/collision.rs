@@ -7,13 +7,14 @@
 use std::cell::Cell;
 
 use crate::model::SerialArm;
+use crate::plan::hulls::{Hulls, NEAR_M, OnFlange, capsules_m};
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
 use crate::solid::Solid;
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
-use host_robot::{DMat3, DVec3, JOINTS, Joints};
+use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 use host_robot::{Odometry, Random};
 
 /// Maximum overlap with a support, because the shapes around a held object are 6 mm too large.
@@ -117,6 +118,7 @@ impl World {
         world.start = world.shop().at_start();
         // Adjacent links share a joint and always touch; the joint's limits keep them from colliding.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
+        let pairs = pairs.filter(|&(one, two)| !world.arm.is_telescope(one, two));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
             // The tool and a held object have the same neighbours as the last link.
@@ -150,11 +152,7 @@ impl World {
                 let (low, high) = joint.limit_rad.unwrap_or((-pi, pi));
                 *angle = random.between(low, high);
             }
-            let shapes = self.shapes(&joints_rad, &on_flange);
-            always.retain(|&(one, two)| {
-                World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0
-                    && !self.are_apart(&joints_rad, one, two)
-            });
+            always.retain(|&(one, two)| self.touch(&joints_rad, &on_flange, one, two));
         }
         if always.is_empty() {
             return;
@@ -204,49 +202,17 @@ impl World {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                let shapes = self.shapes(&joints_rad, &on_flange);
-                World::pair_distance_m(&shapes, link, other, f64::INFINITY) <= 0.0
-                    && !self.are_apart(&joints_rad, link, other)
+                self.touch(&joints_rad, &on_flange, link, other)
             })
         })
     }
 
-    /// Returns whether the solids of two links prove that they are apart, even though their capsules overlap.
-    fn are_apart(&self, joints_rad: &Joints, one: usize, two: usize) -> bool {
+    /// Returns whether two parts touch: their capsules do, and their hulls do not prove that they are apart.
+    fn touch(&self, joints_rad: &Joints, on_flange: &OnFlange, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
-        let of = |link: usize| -> Vec<Solid> {
-            match link.checked_sub(1) {
-                None => self.arm.foot_solids.clone(),
-                Some(i) => {
-                    let solids = self.arm.joints.get(i).map_or(&[][..], |joint| &joint.solids);
-                    solids.iter().map(|solid| solid.seen_from(&poses[i])).collect()
-                }
-            }
-        };
-        let (one, two) = (of(one), of(two));
-        // For links without solids, nothing can be proved.
-        !one.is_empty() && !two.is_empty() && one.iter().all(|a| two.iter().all(|b| a.apart_m(b) >= APART_M))
-    }
-
-    /// Returns the distance of two parts, whose shapes are sorted by part number.
-    /// If the distance exceeds `within_m`, the result may be any larger value.
-    fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
-        let of = |wanted: usize| {
-            let start = shapes.partition_point(|(link, _)| *link < wanted);
-            &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
-        };
-        let mut nearest_m = within_m;
-        for (_, a) in of(one) {
-            let (a_m, a_reach_m) = a.bounds_m();
-            for (_, b) in of(two) {
-                let (b_m, b_reach_m) = b.bounds_m();
-                // The bounding spheres are already further apart.
-                if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
-                    nearest_m = nearest_m.min(a.distance_m(b));
-                }
-            }
-        }
-        nearest_m
+        let shapes = self.shapes(&poses, on_flange);
+        capsules_m(&shapes, one, two, f64::INFINITY) <= 0.0
+            && Hulls { arm: &self.arm, on_flange, poses: &poses }.pair_m(one, two, APART_M) < APART_M
     }
 
     /// The arm.
@@ -292,10 +258,13 @@ impl World {
         let fixed = self.scene.boxes.iter().map(NamedBox::shape).enumerate();
         let fixed = fixed.map(|(i, shape)| (Part::Box(i), shape));
         let standing = self.shop().standing(things).into_iter().map(|(i, shape)| (Part::Object(i), shape));
-        let boxes = fixed.chain(standing).map(|(part, b)| {
-            let center_m = from_world * (b.center_m - here) - mount_m;
-            (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
-        });
+        let boxes: Vec<_> = fixed
+            .chain(standing)
+            .map(|(part, b)| {
+                let center_m = from_world * (b.center_m - here) - mount_m;
+                (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
+            })
+            .collect();
         let mut base = self.scene.base.body();
         base.center_m -= mount_m;
         let floor_m = -mount_m.z;
@@ -303,7 +272,9 @@ impl World {
             world: self,
             touch: &things.touch,
             on_flange: self.on_flange(things),
-            boxes: boxes.collect(),
+            solids: boxes.iter().map(|(_, shape)| Solid::of_box(shape)).collect(),
+            boxes,
+            base_solid: Solid::of_box(&base),
             base,
             floor_m,
             checks: Cell::new(0),
@@ -326,25 +297,25 @@ impl World {
     }
 
     /// Returns the numbered shapes of tool, fingers and held object in the flange's frame.
-    fn on_flange(&self, things: &Things) -> Vec<(usize, Capsule)> {
+    fn on_flange(&self, things: &Things) -> OnFlange {
         if self.tool.is_none() {
-            return Vec::new();
+            return OnFlange::default();
         }
         let link = self.tool_link();
         let fixed = self.tool.fixed().iter().map(|c| (link, *c));
         let fingers = self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, c));
         let held = self.shop().held_shapes(things).into_iter().map(|c| (link + 2, c));
-        fixed.chain(fingers).chain(held).collect()
+        OnFlange::new(fixed.chain(fingers).chain(held).collect(), link, &self.arm)
     }
 
     /// Returns the numbered shapes of base, links, tool and held object in the arm's frame.
-    fn shapes(&self, joints_rad: &Joints, on_flange: &[(usize, Capsule)]) -> Vec<(usize, Capsule)> {
-        let poses = self.arm.link_poses(joints_rad);
+    fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Vec<(usize, Capsule)> {
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
-        for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
+        for (i, (joint, pose)) in self.arm.joints.iter().zip(poses).enumerate() {
             shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));
         }
-        shapes.extend(on_flange.iter().map(|(link, shape)| (*link, shape.seen_from(&poses[JOINTS]))));
+        let flange = &poses[JOINTS];
+        shapes.extend(on_flange.capsules.iter().map(|(link, shape)| (*link, shape.seen_from(flange))));
         shapes
     }
 }
@@ -354,9 +325,12 @@ impl World {
 pub struct Surroundings<'w> {
     world: &'w World,
     touch: &'w Touch,
-    on_flange: Vec<(usize, Capsule)>,
+    on_flange: OnFlange,
     boxes: Vec<(Part, UprightBox)>,
+    /// The boxes, for comparison with hulls.
+    solids: Vec<Solid>,
     base: UprightBox,
+    base_solid: Solid,
     floor_m: f64,
     checks: Cell<u64>,
     purse: Option<&'w Purse>,
@@ -399,13 +373,23 @@ impl<'w> Surroundings<'w> {
             purse.spend(1);
         }
         let world = self.world;
-        let shapes = world.shapes(joints_rad, &self.on_flange);
+        let poses = world.arm.link_poses(joints_rad);
+        let shapes = world.shapes(&poses, &self.on_flange);
+        let hulls = Hulls { arm: &world.arm, on_flange: &self.on_flange, poses: &poses };
+        // Of parts whose capsules are near, and nearer than all others so far, the hulls are compared.
+        let exact_m = |distance_m: f64, least_m: f64, hulls_m: &dyn Fn(f64) -> f64| {
+            if distance_m < least_m.min(NEAR_M) { distance_m.max(hulls_m(least_m)) } else { distance_m }
+        };
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
             // The arm's fixed base and first link never come closer to the mobile base or to the floor.
             if link >= 2 {
-                own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
+                let base_m = shape.distance_to_box_m(&self.base);
+                let base_m = exact_m(base_m, own.distance_m, &|least_m| {
+                    hulls.part_from_m(link, &self.base_solid, least_m)
+                });
+                own.tighten(base_m, part, Part::Base);
                 own.tighten(
                     self.allowed_m(shape.lowest_m() - self.floor_m, part, Part::Floor),
                     part,
@@ -413,15 +397,20 @@ impl<'w> Surroundings<'w> {
                 );
             }
             let (middle_m, reach_m) = shape.bounds_m();
-            for (other, obstacle) in &self.boxes {
+            for ((other, obstacle), solid) in self.boxes.iter().zip(&self.solids) {
                 if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
-                    let distance_m = self.allowed_m(shape.distance_to_box_m(obstacle), part, *other);
+                    let distance_m = shape.distance_to_box_m(obstacle);
+                    let distance_m = exact_m(distance_m, boxes.distance_m, &|least_m| {
+                        hulls.part_from_m(link, solid, least_m)
+                    });
+                    let distance_m = self.allowed_m(distance_m, part, *other);
                     boxes.tighten(distance_m, part, *other);
                 }
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = World::pair_distance_m(&shapes, one, two, own.distance_m);
+            let distance_m = capsules_m(&shapes, one, two, own.distance_m);
+            let distance_m = exact_m(distance_m, own.distance_m, &|least_m| hulls.pair_m(one, two, least_m));
             own.tighten(distance_m, world.part(one), world.part(two));
         }
         (own, boxes)
