@@ -2,18 +2,30 @@
 //! The board and the store reply to these messages.
 
 use embassy_time::{Duration, Timer};
+#[cfg(feature = "trouble")]
+use shared_board::images::{ImageStore, Then};
 use shared_board::models::{MappedFlash, ModelStore};
+#[cfg(feature = "trouble")]
+use shared_board::update::Source;
 use shared_proto::frame::parse_host;
 use shared_proto::message::HostMessage;
 
 use crate::link::INBOX;
+#[cfg(feature = "trouble")]
+use crate::link::WayOut;
 use crate::{about, board, state, vibrate};
 
 /// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
 const PAUSE: Duration = Duration::from_millis(40);
+/// Time in which the answer to the last piece of a new image reaches the laptop before the board restarts.
+#[cfg(feature = "trouble")]
+const LAST_WORDS: Duration = Duration::from_millis(300);
 
 /// Answers for ever.
-pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
+pub async fn run<F: MappedFlash>(
+    mut store: ModelStore<F>,
+    #[cfg(feature = "trouble")] mut images: ImageStore<impl MappedFlash>,
+) -> ! {
     loop {
         let received = INBOX.receive().await;
         let mut link = received.link;
@@ -24,7 +36,25 @@ pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
         if matches!(message, HostMessage::Feel { .. }) {
             vibrate::FELT.signal(());
         }
+        #[cfg(feature = "trouble")]
+        if received.trusted && matches!(message, HostMessage::HelloRequest) {
+            // If the mark is not stored, the laptop's question about the image says so.
+            images.said_hello().await;
+        }
         if let Some(request) = request {
+            #[cfg(feature = "trouble")]
+            {
+                let source = if link == WayOut::Ble { Source::Air } else { Source::Cable };
+                let pause = async || Timer::after(PAUSE).await;
+                match images.answer(&request, source, pause, &mut link).await {
+                    Then::Pass => {}
+                    Then::Stay => continue,
+                    Then::Restart => {
+                        Timer::after(LAST_WORDS).await;
+                        cortex_m::peripheral::SCB::sys_reset()
+                    }
+                }
+            }
             if let axes @ 1.. = about::now().axes {
                 store.set_axes(axes);
             }

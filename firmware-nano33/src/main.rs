@@ -45,6 +45,8 @@ compile_error!(
 
 use defmt_rtt as _;
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
+#[cfg(feature = "trouble")]
+use shared_board::images::ImageStore;
 
 /// Logs go to the probe, and the laptop receives a report at the next start.
 /// Boards with Bluetooth linked in have no probe, and the log texts would be a tenth of their image.
@@ -117,7 +119,10 @@ fn main() -> ! {
             let store = model::install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
+            #[cfg(feature = "ble")]
             spawner.spawn(run_control(store).expect("spawned once"));
+            #[cfg(feature = "trouble")]
+            spawner.spawn(run_control(store, ImageStore::new(storage::Region(flash))).expect("spawned once"));
             radio.spawn(spawner, parts.usbd);
         })
     }
@@ -155,6 +160,17 @@ type BoardFlash = radio::RadioFlash;
 type BoardFlash = flash::Controller;
 
 /// Answers the laptop.
+#[cfg(feature = "trouble")]
+#[embassy_executor::task]
+async fn run_control(
+    store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>,
+    images: ImageStore<storage::Images<BoardFlash>>,
+) {
+    control::run(store, images).await
+}
+
+/// Answers the laptop.
+#[cfg(not(feature = "trouble"))]
 #[embassy_executor::task]
 async fn run_control(store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>) {
     control::run(store).await

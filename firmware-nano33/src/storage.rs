@@ -6,6 +6,9 @@ use embedded_storage_async::nor_flash::{
 use shared_board::models::{MappedFlash, StoredModel};
 use shared_board::slots::STORE_BYTES;
 
+#[cfg(feature = "trouble")]
+use crate::boards;
+
 /// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// Address of the page before the slots, which stores the keys of the laptop that bonded last.
@@ -17,6 +20,9 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
 #[cfg(feature = "trouble")]
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
+/// Slot B of the images and the journal of their exchange.
+#[cfg(feature = "trouble")]
+pub const IMAGES_START: u32 = boards::BASE + shared_board::update::SLOT_B;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
 /// Maximum number of words per call of [`Flash::write`].
@@ -42,6 +48,10 @@ pub trait Flash {
 
 /// A part of a controller's flash.
 pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
+
+/// The place of a new image.
+#[cfg(feature = "trouble")]
+pub type Images<F> = Region<F, IMAGES_START, { shared_board::images::STORE_BYTES }>;
 
 /// The two slots of models.
 pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;

@@ -14,6 +14,7 @@
 //! * [`right::RightBoard`]: gestures, record mode, and requirements of the model.
 //! * [`vibration::Vibration`]: patterns of the motor at the right board.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
+//! * [`images::ImageStore`]: receives a new image of the board, which [`swap`] puts into place.
 //!
 //! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all use this code.
 //! These programs differ only in where samples come from and where frames go.
@@ -58,12 +59,15 @@ pub mod calibration_store;
 pub mod faults;
 pub mod guard;
 pub mod hand;
+pub mod images;
 pub mod left;
 #[cfg(any(test, feature = "host"))]
 pub mod memory;
 pub mod models;
 pub mod right;
 pub mod slots;
+pub mod swap;
+pub mod update;
 pub mod vibration;
 
 use shared_proto::frame::encode_body;

@@ -95,7 +95,12 @@ pub struct RamFlash {
 impl RamFlash {
     /// Erased flash.
     pub fn blank() -> Self {
-        Self { bytes: vec![0xFF; STORE_BYTES], operations: 0, cut_after: None, torn: 1 }
+        Self::of(STORE_BYTES)
+    }
+
+    /// Erased flash of this size.
+    pub fn of(bytes: usize) -> Self {
+        Self { bytes: vec![0xFF; bytes], operations: 0, cut_after: None, torn: 1 }
     }
 
     /// Restores the power.

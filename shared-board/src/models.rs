@@ -46,6 +46,22 @@ pub enum ModelRequest<'r> {
         /// CRC-32 of the complete model.
         crc32: u32,
     },
+    /// Announces a new image of the board, whose pieces follow as for a model. An [`ImageStore`](crate::images::ImageStore) answers it.
+    Image {
+        /// Repeated in the answer.
+        request: u16,
+        /// Size of the file in bytes.
+        size: u32,
+        /// CRC-32 of the file.
+        crc32: u32,
+    },
+    /// Asks whether this image runs. An [`ImageStore`](crate::images::ImageStore) answers it.
+    Confirm {
+        /// Repeated in the answer.
+        request: u16,
+        /// CRC-32 of the file.
+        crc32: u32,
+    },
 }
 
 impl ModelRequest<'_> {
@@ -53,7 +69,9 @@ impl ModelRequest<'_> {
     pub fn refuse(&self, out: &mut impl FrameOut) {
         let (Self::Begin(ModelBegin { request, .. })
         | Self::Chunk { request, .. }
-        | Self::Commit { request, .. }) = *self;
+        | Self::Commit { request, .. }
+        | Self::Image { request, .. }
+        | Self::Confirm { request, .. }) = *self;
         acknowledge(request, AckResult::Unsupported, 0, out);
     }
 }
@@ -175,6 +193,8 @@ impl<F: MappedFlash> ModelStore<F> {
             ModelRequest::Begin(begin) => (begin.request, self.begin(&begin, pause, out).await),
             ModelRequest::Chunk { request, offset, data } => (request, self.chunk(offset, data).await),
             ModelRequest::Commit { request, crc32 } => (request, self.commit(crc32).await),
+            // This board's image cannot be replaced.
+            ModelRequest::Image { .. } | ModelRequest::Confirm { .. } => return request.refuse(out),
         };
         acknowledge(request, result, self.transfer.map_or(0, |t| t.next), out);
     }
@@ -295,8 +315,8 @@ impl<F: MappedFlash> ModelStore<F> {
 
 /// A buffer aligned for flash controllers, which accept only complete words.
 #[repr(align(4))]
-struct Aligned<const N: usize>([u8; N]);
+pub(crate) struct Aligned<const N: usize>(pub(crate) [u8; N]);
 
-fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
+pub(crate) fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
     send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset }, out);
 }

@@ -197,10 +197,17 @@ impl<H: Hand> RightBoard<H> {
             HostMessage::ModelCommit { request, crc32 } if trusted => {
                 return Some(ModelRequest::Commit { request, crc32 });
             }
-            HostMessage::ModelBegin(begin) => (begin.request, AckResult::NotBonded),
-            HostMessage::ModelChunk { request, .. } | HostMessage::ModelCommit { request, .. } => {
-                (request, AckResult::NotBonded)
+            HostMessage::ImageBegin { request, size, crc32 } if trusted => {
+                return Some(ModelRequest::Image { request, size, crc32 });
             }
+            HostMessage::ImageConfirm { request, crc32 } if trusted => {
+                return Some(ModelRequest::Confirm { request, crc32 });
+            }
+            HostMessage::ModelBegin(begin) => (begin.request, AckResult::NotBonded),
+            HostMessage::ModelChunk { request, .. }
+            | HostMessage::ModelCommit { request, .. }
+            | HostMessage::ImageBegin { request, .. }
+            | HostMessage::ImageConfirm { request, .. } => (request, AckResult::NotBonded),
         };
         send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset: 0 }, out);
         None

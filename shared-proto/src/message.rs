@@ -33,9 +33,8 @@ pub use table::{BoardBody, Boards, Row};
 
 /// The major version increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
-/// The minor version increases when a message is added.
-/// The older side ignores messages that it does not know.
-pub const PROTOCOL_MINOR: u8 = 4;
+/// This number increases when a message is added. The older side ignores messages that it does not know.
+pub const PROTOCOL_MINOR: u8 = 5;
 
 board_messages! {
     /// Messages from a board to the laptop.
@@ -127,6 +126,23 @@ host_messages! {
             /// The signal to play.
             signal: Signal,
         } => Right, 2;
+        /// Announces a new image of the board. Its pieces follow as [`HostMessage::ModelChunk`], and a
+        /// [`HostMessage::ModelCommit`] restarts the board with it.
+        9 ImageBegin {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// Size of the image's file in bytes.
+            size: u32,
+            /// CRC-32 of the file.
+            crc32: u32,
+        } => Right, 5;
+        /// Asks whether the image of this file runs. If it does, the board keeps it.
+        10 ImageConfirm {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// CRC-32 of the file.
+            crc32: u32,
+        } => Right, 5;
     }
 }
 
@@ -323,6 +339,10 @@ open_list! {
         StorageFailed = 9,
         /// Writes need a bonded link.
         NotBonded = 10,
+        /// The board does not accept the image: it is for another board, or its signature is not valid.
+        ImageRefused = 11,
+        /// The board went back to its old image, because the new one did not say hello before a restart.
+        ImageWentBack = 12,
     }
 }
 

@@ -101,6 +101,8 @@ fn host_messages() -> Vec<HostMessage<'static>> {
         HostMessage::ModelChunk { request: 12, offset: 128, data: Bytes(&[0, 1, 2, 0, 255]) },
         HostMessage::ModelCommit { request: 13, crc32: 0xCAFE_F00D },
         HostMessage::Feel { signal: Signal::Stopped },
+        HostMessage::ImageBegin { request: 14, size: 256_000, crc32: 0xCAFE_F00D },
+        HostMessage::ImageConfirm { request: 15, crc32: 0xCAFE_F00D },
     ]
 }
 

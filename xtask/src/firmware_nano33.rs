@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
-use crate::{is_full, root, target_dir, tools, uf2};
+use crate::{is_full, root, second_stage, target_dir, tools, uf2};
 
 /// A variant's name, and the arguments with which cargo builds it.
 const VARIANTS: [(&str, &[&str], &str); 5] = [
@@ -26,7 +26,7 @@ const VARIANTS: [(&str, &[&str], &str); 5] = [
     (
         "trouble",
         &["--no-default-features", "--features", "trouble"],
-        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader at 0x10000, with Bluetooth linked in",
+        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader and a second stage at 0x10000, with Bluetooth linked in",
     ),
     (
         "xiao-trouble",
@@ -78,12 +78,20 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
-/// Builds all variants, or only the named variant, and prints their sizes.
+fn is_xiao(name: &str) -> bool {
+    name.starts_with("xiao")
+}
+
+/// Builds all variants, or only the named one, and prints their sizes.
+/// `--key` names the public key with which the boards check updates over Bluetooth.
 ///
 /// # Errors
 /// Fails if a variant does not build, or if the name is unknown.
 pub fn run(args: &[&str]) -> Result<()> {
-    let is_xiao = |name: &str| name.starts_with("xiao");
+    let (args, key) = match args {
+        [args @ .., "--key", key] => (args, Some(Path::new(key))),
+        args => (args, None),
+    };
     let chosen = |name: &str| match args {
         [] => true,
         ["--board", "nano33"] => !is_xiao(name),
@@ -101,8 +109,18 @@ pub fn run(args: &[&str]) -> Result<()> {
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
+        let mut origin = XIAO_ORIGIN;
+        let raw = if name.contains("trouble") {
+            let stage = second_stage::build(&image, is_xiao(name))?;
+            let files = second_stage::make_files(&image, &stage, is_xiao(name), key)?;
+            println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
+            origin = second_stage::base(is_xiao(name));
+            Some(files[0].clone())
+        } else {
+            None
+        };
         if is_xiao(name) {
-            println!("  {}", make_uf2(&image)?.display());
+            println!("  {}", make_uf2(&image, raw, origin)?.display());
         }
         report(&image)?;
     }
@@ -180,10 +198,17 @@ pub fn image(name: &str) -> PathBuf {
 }
 
 /// Converts the image to the format of the XIAO's bootloader, and writes the result to the same folder.
-fn make_uf2(image: &Path) -> Result<PathBuf> {
-    let (raw, file) = (image.with_extension("bin"), image.with_extension("uf2"));
-    sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
-    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, XIAO_ORIGIN, uf2::NRF52840))?;
+fn make_uf2(image: &Path, raw: Option<PathBuf>, origin: u32) -> Result<PathBuf> {
+    let file = image.with_extension("uf2");
+    let raw = match raw {
+        Some(raw) => raw,
+        None => {
+            let raw = image.with_extension("bin");
+            sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
+            raw
+        }
+    };
+    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, origin, uf2::NRF52840))?;
     Ok(file)
 }
 

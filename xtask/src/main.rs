@@ -10,6 +10,7 @@ mod paper;
 mod prose;
 mod python;
 mod real_data;
+mod second_stage;
 mod sizes;
 mod steps;
 mod test;
@@ -34,7 +35,7 @@ usage: cargo xtask VERB
                                 the faults whose name contains WORD
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
-  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble]
+  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble] [--key FILE.pub]
                                 the right hand's images: flash and RAM per part
   paper [--quick] [--out FILE] [--html FILE]
                                 the paper's tables beside what is measured here, in under 30 minutes; --html one page

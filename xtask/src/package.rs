@@ -161,14 +161,17 @@ fn images(folder: &Path) -> Result<()> {
     firmware_avr::run(&["--no-stack"])?;
     copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
     firmware_nano33::run(&[])?;
-    for (variant, format, name) in [
-        ("bootloader", "binary", "nano33-bootloader.bin"),
-        ("ble", "ihex", "nano33-s140.hex"),
-        ("trouble", "binary", "nano33-trouble.bin"),
-    ] {
+    for (variant, format, name) in
+        [("bootloader", "binary", "nano33-bootloader.bin"), ("ble", "ihex", "nano33-s140.hex")]
+    {
         let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
         sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
     }
+    let linked = firmware_nano33::image("trouble");
+    copy(&linked.with_extension("bin"), &folder.join("nano33-trouble.bin"))?;
+    copy(&linked.with_extension("update"), &folder.join("nano33-trouble.update"))?;
+    let linked = firmware_nano33::image("xiao-trouble");
+    copy(&linked.with_extension("update"), &folder.join("xiao-trouble.update"))?;
     for name in ["xiao", "xiao-trouble"] {
         let file = firmware_nano33::image(name).with_extension("uf2");
         copy(&file, &folder.join(name).with_extension("uf2"))?;

@@ -11,8 +11,12 @@ mod nano33;
 #[cfg(feature = "xiao")]
 mod xiao;
 
+#[cfg(all(feature = "trouble", not(feature = "xiao")))]
+pub use nano33::BASE;
 #[cfg(not(feature = "xiao"))]
 pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
+#[cfg(all(feature = "trouble", feature = "xiao"))]
+pub use xiao::BASE;
 #[cfg(feature = "xiao")]
 pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
 

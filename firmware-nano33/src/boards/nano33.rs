@@ -12,6 +12,10 @@ use crate::{uart, vibrate, watch};
 /// The sensors of Rev1 and Rev2.
 pub const SENSORS: &[Kind] = &[Kind::Lsm9ds1, Kind::Bmi270];
 
+/// Address of the second stage, which starts the image.
+#[cfg(feature = "trouble")]
+pub const BASE: u32 = 0x0001_0000;
+
 /// Time from power-up until the sensor answers, in milliseconds.
 /// ST's sensors of this type need up to 35 ms, and SparkFun's library waits 100 ms.
 pub const START_MS: u64 = 50;

@@ -15,6 +15,10 @@ use crate::{uart, vibrate, watch};
 /// Its sensor.
 pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
 
+/// Address of the second stage, which starts the image.
+#[cfg(feature = "trouble")]
+pub const BASE: u32 = 0x0002_7000;
+
 /// Time in milliseconds from power-up until the sensor answers: 35 ms and a margin.
 pub const START_MS: u64 = 50;
 

@@ -17,4 +17,5 @@ pub mod run;
 pub mod screen;
 pub mod send_model;
 pub mod teach;
+pub mod update;
 pub mod web;

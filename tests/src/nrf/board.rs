@@ -7,11 +7,14 @@ mod exceptions;
 mod hooks;
 mod measure;
 mod radio;
+mod update;
 
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
 pub use measure::{Call, Tapped};
 use measure::{Open, PAINT, PAINTED};
+
+use shared_board::update as layout;
 
 use super::bmi270::Bmi270;
 use super::i2c::Sensor;
@@ -190,6 +193,9 @@ impl Board {
         for (address, bytes) in &image.pieces {
             soc.flash[*address as usize..][..bytes.len()].copy_from_slice(bytes);
         }
+        if let Some(base) = image.second_stage {
+            soc.images = base + layout::SLOT_B..base + layout::END;
+        }
         if boot == Boot::SoftDevice {
             soc.softdevice = Some(Box::default());
         }
@@ -217,17 +223,22 @@ impl Board {
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
         uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
         // The firmware writes the two model slots itself, so they are registers from the core's point of view.
-        uc.mem_map(0, u64::from(SLOTS_START), Prot::ALL).expect("flash");
-        let behind = u64::from(SLOTS_END);
-        uc.mem_map(behind, FLASH_BYTES as u64 - behind, Prot::ALL).expect("flash");
+        // Neither does a program run from where a new image waits.
+        let images = uc.get_data().soc.images.clone();
         let flash = uc.get_data().soc.flash.clone();
-        uc.mem_write(0, &flash[..SLOTS_START as usize]).expect("flash");
-        uc.mem_write(behind, &flash[SLOTS_END as usize..]).expect("flash");
+        let images_end = if images.is_empty() { 0 } else { images.end };
+        for (start, end) in [(0, images.start), (images_end, SLOTS_START), (SLOTS_END, FLASH_BYTES as u32)] {
+            if start < end {
+                uc.mem_map(start.into(), u64::from(end - start), Prot::ALL).expect("flash");
+                uc.mem_write(start.into(), &flash[start as usize..end as usize]).expect("flash");
+            }
+        }
         let ram = uc.get_data_mut().soc.ram.as_mut_ptr();
         // SAFETY: the RAM is in a box that lives as long as the emulator and never moves.
         unsafe { uc.mem_map_ptr(RAM_START.into(), RAM_BYTES as u64, Prot::ALL, ram.cast()) }.expect("RAM");
         for (start, len) in [
             (SLOTS_START, SLOTS_END - SLOTS_START),
+            (images.start, images.end - images.start),
             (0x1000_0000, 0x2000),
             // This range includes the undocumented registers of the USB errata.
             (0x4000_0000, 0x10_0000),
@@ -236,6 +247,9 @@ impl Board {
             (0xE000_E000, 0x1000),
             (0xF000_0000, 0x1000),
         ] {
+            if len == 0 {
+                continue;
+            }
             uc.mmio_map(
                 start.into(),
                 len.into(),
@@ -243,7 +257,10 @@ impl Board {
                     u64::from(uc.get_data_mut().soc.read(start + offset as u32, size as u32))
                 }),
                 Some(move |uc: &mut Unicorn<'_, World>, offset: u64, size: usize, value: u64| {
-                    uc.get_data_mut().soc.write(start + offset as u32, value as u32, size as u32);
+                    let address = start + offset as u32;
+                    Self::before_flash(uc, address, value as u32);
+                    uc.get_data_mut().soc.write(address, value as u32, size as u32);
+                    Self::after_flash(uc, address, value as u32);
                 }),
             )
             .expect("registers");

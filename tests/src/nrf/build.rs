@@ -14,8 +14,10 @@ pub enum Variant {
     Ble,
     /// The same as `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
-    /// The image behind the stock bootloader at 0x10000, with Bluetooth linked in.
+    /// The image behind the stock bootloader and its second stage, with Bluetooth linked in.
     Trouble,
+    /// The second stage of that image.
+    Stage,
 }
 
 /// Returns the image of a variant, built by `cargo xtask firmware nano33`.
@@ -34,9 +36,15 @@ pub fn image(variant: Variant) -> Image {
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
         Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
+        // It is built together with the image.
+        Variant::Stage => return Image::load(&trouble().with_file_name("nano33-trouble-stage")),
     };
     let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
     Image::load(path)
+}
+
+fn trouble() -> PathBuf {
+    std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").map_or_else(|| build(Variant::Trouble), PathBuf::from)
 }
 
 /// Returns the XIAO's image in the format of its bootloader.
@@ -60,7 +68,7 @@ fn build(variant: Variant) -> PathBuf {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
         Variant::Xiao => "xiao",
-        Variant::Trouble => "trouble",
+        Variant::Trouble | Variant::Stage => "trouble",
     };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

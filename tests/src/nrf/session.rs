@@ -8,6 +8,7 @@ use super::ble_host::BleHost;
 use super::board::{Board, Boot, Kind};
 use super::build::{Variant, image};
 use super::controller::{Air, Controller};
+use super::image::Image;
 use super::lsm9ds1::{Motion, Still};
 use super::softdevice::central::Happening;
 
@@ -39,6 +40,8 @@ pub struct Right {
 pub struct Heard {
     /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
+    /// Versions of the firmware from hello messages.
+    pub versions: Vec<String>,
     /// States of the hand.
     pub states: Vec<Right>,
     /// Counters from status messages.
@@ -122,7 +125,11 @@ impl RightRig {
     /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
-        let image = image(Variant::Trouble);
+        Self::air_of(image(Variant::Trouble), kind, motion)
+    }
+
+    /// Starts such a session with this image.
+    pub fn air_of(image: Image, kind: Kind, motion: Box<dyn Motion>) -> Self {
         let controller = Controller::new(&image.symbols, Air::start(), 0);
         let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);
         board.answer_controller(controller);
@@ -238,7 +245,10 @@ impl Heard {
     fn push(&mut self, decoder: &mut Decoder<BOARD_FRAME_MAX>, at: u64, byte: u8) {
         let Some(payload) = decoder.push(byte) else { return };
         match parse_board(payload).expect("a message of this version") {
-            BoardMessage::Hello(Hello { boot_id, model_id, .. }) => self.hellos.push((boot_id, model_id)),
+            BoardMessage::Hello(Hello { boot_id, model_id, firmware, .. }) => {
+                self.hellos.push((boot_id, model_id));
+                self.versions.push(firmware.to_string());
+            }
             BoardMessage::Right(r) => self.states.push(Right {
                 at,
                 sequence: r.sequence,

@@ -90,6 +90,8 @@ pub struct Soc {
     pub watchdog: Watchdog,
     /// The flash controller.
     pub nvmc: Nvmc,
+    /// Addresses of a new image and the journal of the second stage, which the firmware writes itself.
+    pub images: std::ops::Range<u32>,
     ppi: Ppi,
     /// The USB device controller.
     pub usb: Usbd,
@@ -134,6 +136,7 @@ impl Soc {
             rng: Rng::new(1),
             watchdog: Watchdog::default(),
             nvmc: Nvmc::default(),
+            images: 0..0,
             ppi: Ppi::default(),
             usb: Usbd::default(),
             softdevice: None,
@@ -265,6 +268,7 @@ impl Soc {
             },
             0x1000_1000..=0x1000_1FFF => Self::word(&self.uicr, offset as usize),
             SLOTS_START..SLOTS_END => Self::word(&self.flash, address as usize),
+            _ if self.images.contains(&address) => Self::word(&self.flash, address as usize),
             _ => self.others.get(&address).copied().unwrap_or(0),
         }
     }
@@ -364,6 +368,9 @@ impl Soc {
                 self.nvmc.program(&mut self.uicr, offset as usize, value, now);
             }
             SLOTS_START..SLOTS_END if self.nvmc.may_write() => {
+                self.nvmc.program(&mut self.flash, address as usize, value, now);
+            }
+            _ if self.images.contains(&address) && self.nvmc.may_write() => {
                 self.nvmc.program(&mut self.flash, address as usize, value, now);
             }
             _ => {

@@ -181,6 +181,13 @@ pub fn advice(result: AckResult) -> &'static str {
         AckResult::NotBonded => {
             "Bluetooth writes need pairing; pair in the system's settings, or use the cable"
         }
+        AckResult::ImageRefused => {
+            "the board does not accept this image: it is for another board, or over Bluetooth its signature is not \
+             that of the key in the board"
+        }
+        AckResult::ImageWentBack => {
+            "the board went back to its old image, because the new one did not say hello before a restart"
+        }
         AckResult::Unknown(_) => {
             "the board gave an answer that this version does not know; update host-bridge"
         }
