@@ -279,6 +279,96 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
 }
 
+/// Places in the right hand's recording: 16 s of rest, and the beginning of a to-fro.
+const RESTS_S: f64 = 70.5;
+const TO_FRO_S: f64 = 8.2;
+
+#[test]
+fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() {
+    let Some(site) = site("a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest", true)
+    else {
+        return;
+    };
+    let desk = desk("ros2-jog");
+    let domain = domain();
+    let (left, right) = (Double::left(&desk), Double::right(&desk, RESTS_S));
+    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", "--pace", "1"]);
+    robot.has("ready", |v| is(v, "ready"));
+    let options = ["--left", &left.port(), "--right", &right.port()];
+    let mut bridge = bridge(&desk, domain, "[jog]\nlabel = 'to-fro'\n", &options);
+    let lends = |lent: bool| move |v: &Value| is(v, "jogging") && v["lent"] == lent;
+    // The clutch is refused until the program knows the arm, which takes seconds on Fast DDS.
+    let mut lent = None;
+    for _ in 0..20 {
+        right.jump(RESTS_S);
+        bridge.wait("armed", armed);
+        let from = bridge.seen.len();
+        right.jump(TO_FRO_S);
+        lent = bridge.find(from, Duration::from_secs(6), lends(true));
+        if lent.is_some() {
+            break;
+        }
+    }
+    let Some(lent) = lent else { bridge.fail("the clutch never closes") };
+    right.jump(RESTS_S);
+    bridge.wait_from(lent, "both hands neutral", armed);
+    robot.catch_up();
+    let is_piece = |v: &Value| is(v, "trajectory");
+    assert!(!robot.seen.iter().any(|(_, v)| is_piece(v)), "nothing moves yet");
+
+    // The hand stays tilted. A busy machine may halt the arm before it moves, and then needs neutral again.
+    let moves = |v: &Value| is(v, "arm") && v["moves"] == true;
+    let mut has_moved = None;
+    for _ in 0..10 {
+        right.jump(RESTS_S);
+        left.hold(FORWARD);
+        has_moved = robot.wait_for(Duration::from_secs(3), moves);
+        if has_moved.is_some() {
+            break;
+        }
+        left.hold(LEVEL);
+        desk.pass(Duration::from_secs(1));
+    }
+    let Some(moved) = has_moved else { bridge.fail("the arm never moves") };
+    desk.pass(Duration::from_millis(1500));
+    robot.catch_up();
+    bridge.catch_up();
+    assert!(robot.seen.iter().filter(|(_, v)| is_piece(v)).count() > 20);
+
+    // The right hand begins the gesture that opens the clutch. The arm brakes at its first movement, before the
+    // gesture is recognised.
+    let (lateness, place) = (Lateness::watch(), bridge.seen.len());
+    right.jump(TO_FRO_S);
+    let halts = |v: &Value| is(v, "halt") && v["reason"] == "not-at-rest";
+    let halt = bridge.wait_from(place, "the right hand moves", halts);
+    let moving = robot.seen.iter().position(|(_, v)| *v == moved).expect("as seen");
+    let rests = robot.wait_from(moving, "the arm rests", |v| is(v, "arm") && v["moves"] == false);
+    let was_quiet = lateness.was_quiet();
+    let after_ms = |v: &Value| (number(&v["t"]) - bridge.seen[halt].0) * 1000.0;
+    let pieces: Vec<&Value> =
+        robot.seen[moving..rests].iter().map(|(_, v)| v).filter(|v| is_piece(v)).collect();
+    let (brakes_ms, rests_ms) = (after_ms(pieces[pieces.len() - 1]), after_ms(&robot.seen[rests].1));
+    println!(
+        "the clutch opens: the piece that brakes is at the robot {brakes_ms:.0} ms after the halt was printed, the arm \
+         rests after {rests_ms:.0} ms"
+    );
+    assert!(!was_quiet || brakes_ms <= 50.0 && rests_ms <= 50.0 + 330.0, "{brakes_ms} {rests_ms}");
+    let there = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
+    assert!(there.zip(HOME).any(|(there, home)| (there - home).abs() > 0.02), "{}", robot.seen[rests].1);
+
+    // The base stands still, even after the gesture gave the hand back: the hand has not been neutral since.
+    if is_full() {
+        bridge.wait_from(halt, "the clutch is open", lends(false));
+    }
+    desk.pass(Duration::from_millis(500));
+    robot.catch_up();
+    assert!(!robot.seen.iter().any(|(_, v)| base_speed(v).is_some_and(|speed| speed != 0.0)));
+    assert!(!robot.seen[rests..].iter().any(|(_, v)| moves(v)));
+    bridge.interrupt();
+    let (status, _, errors) = bridge.end();
+    assert!(status.success(), "{errors}");
+}
+
 #[test]
 fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
     if !is_rclpy() {
