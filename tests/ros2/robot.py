@@ -3,7 +3,8 @@ everything that arrives and moves, one JSON object per line on standard output.
 
 `peer.py` puts it on Eclipse Cyclone DDS, `rclpy_peer.py` on ROS 2's own client library and Fast DDS. What it does with
 what it is told is in `controllers.py`. A line on standard input is an order: `joints on|off`,
-`arm accept|reject|silent|late`, `pace FACTOR`, `flag TOPIC on|off` (a latched std_msgs/Bool), `quit`.
+`arm accept|reject|silent|late`, `pace FACTOR`, `flag TOPIC on|off` (a latched std_msgs/Bool), `thing TOPIC FRAME X Y Z AGE`
+(a PoseStamped at 20 Hz, measured so many s ago; `thing off` ends it), `quit`.
 """
 
 import argparse
@@ -92,6 +93,7 @@ class Robot:
         self.started = time.monotonic()
         self.orders = []
         self.flags = {}
+        self.things, self.thing = {}, None
         self.mode = "accept"
         self.joints = opts.robot
         self.random = random.Random(1)
@@ -251,8 +253,20 @@ class Robot:
             self.move_gripper(wall, now)
         if self.odom is not None and count % 2 == 0:
             self.odom(self.odometry_message(now))
+        if self.thing is not None and count % 5 == 0:
+            self.tell_thing(now)
         if count % 25 == 0:
             self.net.look()
+
+    def tell_thing(self, now):
+        topic, frame, x, y, z, age_s = self.thing
+        if topic not in self.things:
+            self.things[topic] = self.net.writer(topic, "PoseStamped")
+        ros = self.ros
+        header = ros.Header(stamp=ros.Time(**split(now - float(age_s))), frame_id=frame)
+        pose = ros.Pose(position=ros.Point(x=float(x), y=float(y), z=float(z)),
+                        orientation=ros.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+        self.things[topic](ros.PoseStamped(header=header, pose=pose))
 
     def header(self, now):
         return self.ros.Header(stamp=self.ros.Time(**split(now)), frame_id="")
@@ -347,6 +361,10 @@ class Robot:
                     if topic not in self.flags:
                         self.flags[topic] = self.net.writer(topic, "Bool", latched=True)
                     self.flags[topic](self.ros.Bool(data=word == "on"))
+                case ["thing", "off"]:
+                    self.thing = None
+                case ["thing", *thing]:
+                    self.thing = thing
                 case ["quit"] | []:
                     return False
         return time.monotonic() - self.started < self.opts.seconds

@@ -1235,14 +1235,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
         &raised[..7]
     );
     std::fs::write(&file, &text).unwrap();
-    let teach = |arguments: &[&str]| {
-        let mut command = Command::new(crate::host_bridge());
-        command.arg("teach").args(arguments).arg("--config").arg(&file).env_remove("ROS_DOMAIN_ID");
-        let output = command.output().unwrap();
-        let both = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
-        println!("teach {arguments:?}: {}", both.join(""));
-        (output.status.success(), both.join(""))
-    };
+    let teach = |arguments: &[&str]| teach(&[arguments, &["--config", file.to_str().unwrap()]].concat());
     let (done, said) = teach(&["raised", "--play", "--yes"]);
     assert!(done && said.contains("'raised' reached"), "{said}");
     let (done, said) = teach(&["there"]);
@@ -1259,4 +1252,69 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     assert!(!done && said.contains("--yes"), "{said}");
     let (done, said) = teach(&["nowhere", "--play", "--yes"]);
     assert!(!done && said.contains("'nowhere'"), "{said}");
+}
+
+/// Runs `teach` with these arguments, and returns whether it succeeded and what it said.
+fn teach(arguments: &[&str]) -> (bool, String) {
+    let mut command = Command::new(crate::host_bridge());
+    command.arg("teach").args(arguments).env_remove("ROS_DOMAIN_ID");
+    let output = command.output().unwrap();
+    let both = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+    println!("teach {arguments:?}: {}", both.join(""));
+    (output.status.success(), both.join(""))
+}
+
+/// The angles at which the robot's arm rests.
+fn rests_at(robot: &mut Teller) -> Vec<f64> {
+    robot.catch_up();
+    let rest = robot.seen.iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
+    rest.map_or(HOME.to_vec(), |(_, v)| v["position"].as_array().unwrap().iter().map(number).collect())
+}
+
+#[test]
+fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_place() {
+    let Some(site) =
+        site("the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_place", false)
+    else {
+        return;
+    };
+    let desk = desk("ros2-thing");
+    let domain = domain();
+    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", "--pace", "1"]);
+    robot.has("ready", |v| is(v, "ready"));
+    let file = desk.path("thing.toml");
+    let text = format!(
+        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n\n[[box]]\nname = 'table'\n\
+         center_m = [0.9, 0, 0.2]\nsize_m = [0.6, 0.9, 0.4]\n\n[arm]\nvelocity_scaling = 0.5\n\
+         acceleration_scaling = 0.3\n\n[[motion]]\nname = 'above'\nsteps = [\n\
+         {{ position_m = [0, 0, 0.2], quaternion_wxyz = [0, 1, 0, 0], frame = '/cup_pose', age_max_s = 1 }},\n]\n"
+    );
+    std::fs::write(&file, &text).unwrap();
+    let play = || teach(&["above", "--play", "--yes", "--scene", file.to_str().unwrap()]);
+    let places_m = [[0.55, 0.1, 0.1], [0.6, -0.15, 0.2]];
+    for cup_m in &places_m[..if is_full() { 2 } else { 1 }] {
+        let [x, y, z] = cup_m;
+        robot.order(&format!("thing /cup_pose arm_base_link {x} {y} {z} 0.05"));
+        let (done, said) = play();
+        assert!(done, "{said}");
+        let mut here = host_bridge::robot::Joints::default();
+        here[..7].copy_from_slice(&rests_at(&mut robot));
+        let there_m = host_bridge::arm::model::SerialArm::gen3().flange_pose(&here).position_m;
+        let off_m =
+            ((there_m.x - x).powi(2) + (there_m.y - y).powi(2) + (there_m.z - z - 0.2).powi(2)).sqrt();
+        println!("{off_m:.4} m from the place above the thing");
+        assert!(off_m < 0.005);
+    }
+    let before = rests_at(&mut robot);
+    for (order, told) in [
+        ("thing /cup_pose arm_base_link 0.55 0.1 0.1 3", "the newest pose on /cup_pose is 3."),
+        ("thing /cup_pose arm_base_link 0.6 0 -0.3 0.05", "no joint angles were found"),
+    ] {
+        robot.order(order);
+        // What was sent before has come.
+        desk.pass(Duration::from_millis(300));
+        let (done, said) = play();
+        assert!(!done && said.contains(told), "{said}");
+    }
+    assert_eq!(rests_at(&mut robot), before, "nothing has moved");
 }

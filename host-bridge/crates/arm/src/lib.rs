@@ -8,6 +8,7 @@
 //! * [`director`]: the part between bridge and robot, which combines all of these.
 
 pub mod director;
+pub mod frame;
 pub mod gen3;
 #[cfg(feature = "urdf")]
 mod hull;

@@ -91,7 +91,7 @@ impl Clocks {
     }
 
     /// Returns the graph's time if the clocks agree: `/clock`, or otherwise this machine's time.
-    fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
+    pub fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
                 time_s + now_ms.saturating_sub(at_ms).min(SIMULATED_SILENCE_MS) as f64 / 1000.0

@@ -82,6 +82,8 @@ pub struct Joined {
     pub controller_state: Option<Subscription<ToldState>>,
     /// The status of the goals on the arm's action server, if we have no client for it.
     pub goals: Option<Subscription<GoalStatusArray>>,
+    /// The poses of things, one topic each.
+    pub things: Vec<Subscription<ros::PoseStamped>>,
     /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// The time of a simulation.
@@ -192,6 +194,12 @@ impl Joined {
                 &latched(),
             )?),
         };
+        let things = config
+            .watched
+            .topics
+            .iter()
+            .map(|topic| subscription(&mut node, topic, ("geometry_msgs", "PoseStamped"), 1));
+        let things = things.collect::<Result<_, _>>()?;
         let mut flags = Vec::new();
         for topic in Inputs::new(config).topics() {
             let kind = ("std_msgs", "Bool");
@@ -248,6 +256,7 @@ impl Joined {
             odom: odom_read,
             controller_state,
             goals,
+            things,
             flags,
             clock,
             participants: BTreeMap::new(),
