@@ -1180,6 +1180,9 @@ pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
 pub(super) const GRIP_MAPS: [&str; 6] =
     ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
 
+/// Maximum time from a gesture's event to the goal at the gripper.
+const GRIP_MS: f64 = 200.0;
+
 /// The gripper closes on the object, opens, and is halted while it closes again.
 pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Teller, bridge: &mut Teller) {
     let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
@@ -1188,9 +1191,15 @@ pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Tell
     };
     let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
+    let lateness = Lateness::watch();
     // A stall on the object counts as success, and the distance of the fingers is reported: 5/8 of 85 mm.
     let asked = robot.has("it is asked to close", asks(0.08));
     println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
+    let closes = |v: &Value| started(v).is_some_and(|gesture| gesture["outcome"] == "started close-gripper");
+    let told = robot.has("the gesture's diagnostics", closes);
+    let starts_ms = (number(&asked["t"]) - number(&told["stamp"])) * 1000.0;
+    println!("{kind}: gesture to the gripper's goal {starts_ms:.1} ms");
+    assert!(!lateness.was_quiet() || starts_ms <= GRIP_MS, "{starts_ms}");
     // The wearer's earlier gestures are ignored, because a program that started slowly may have missed some.
     let then_s = number(&asked["t"]);
     let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
@@ -1317,4 +1326,103 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
         assert!(!done && said.contains(told), "{said}");
     }
     assert_eq!(rests_at(&mut robot), before, "nothing has moved");
+}
+
+/// An arm of nobody's make with the measures, joints and controller of a UR5e.
+const UR5E: &[(&str, &str, [f64; 3], [f64; 3], &str)] = &[
+    ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
+    ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("elbow_joint", "revolute", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
+    ("wrist_1_joint", "revolute", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("wrist_2_joint", "revolute", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
+    ("wrist_3_joint", "revolute", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
+];
+
+/// The description of such an arm, from `base_link` to `tool0`.
+fn urdf(joints: &[(&str, &str, [f64; 3], [f64; 3], &str)]) -> String {
+    let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
+    let link = |name: &str| {
+        format!(
+            "<link name='{name}'><collision><geometry><sphere radius='0.03'/></geometry></collision></link>\n"
+        )
+    };
+    let mut text = format!("<?xml version='1.0'?><robot name='arm'>\n{}", link("base_link"));
+    let mut parent = "base_link".to_owned();
+    for (i, (name, kind, at_m, turn, axis)) in joints.iter().enumerate() {
+        let child = format!("link_{}", i + 1);
+        let (low, high, speed) = if *kind == "prismatic" { (0.0, 0.8, 0.3) } else { (-3.1, 3.1, 3.0) };
+        text += &link(&child);
+        text += &format!(
+            "<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
+             rpy='{}'/><axis xyz='{axis}'/><limit lower='{low}' upper='{high}' effort='9' velocity='{speed}'/></joint>\n",
+            numbers(*at_m),
+            numbers(*turn)
+        );
+        parent = child;
+    }
+    text + &format!(
+        "<link name='tool0'/><joint name='flange' type='fixed'><parent link='{parent}'/><child link='tool0'/><origin \
+         xyz='0 0.1 0'/></joint></robot>\n"
+    )
+}
+
+#[cfg(feature = "urdf")]
+#[test]
+fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
+    let Some(site) = site("another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml", false)
+    else {
+        return;
+    };
+    let ur5e = include_str!("../../robots/ur5e.toml");
+    let arms = [(
+        "ur5e",
+        UR5E,
+        "scaled_joint_trajectory_controller",
+        vec![0.3, -1.4, 1.5, -1.6, -1.5, 0.2],
+        Some(ur5e),
+    )];
+    for (name, joints, controller, start, profile) in arms {
+        let desk = desk(&format!("ros2-{name}"));
+        let domain = domain();
+        let description = desk.path("published.urdf");
+        std::fs::write(&description, urdf(joints)).unwrap();
+        let names: Vec<&str> = joints.iter().map(|joint| joint.0).collect();
+        let begin: Vec<String> = start.iter().map(f64::to_string).collect();
+        let begin = format!("--start={}", begin.join(","));
+        let (names, description) = (names.join(","), description.to_str().unwrap().to_owned());
+        let options = ["--robot", "--action", "--odom", "--pace", "1", "--joints", &names, &begin];
+        let more = ["--arm-controller", controller, "--description", &description];
+        let mut robot = peer(&desk, &site.python, domain, &[&options[..], &more[..]].concat());
+        robot.has("ready", |v| is(v, "ready"));
+
+        let (config, scene) = (desk.path("graph.toml"), desk.path(&format!("{name}.toml")));
+        std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n"))
+            .unwrap();
+        if let Some(profile) = profile {
+            std::fs::write(&scene, profile).unwrap();
+        }
+        let mut command = Command::new(crate::host_bridge());
+        command.arg("arm").arg(&scene).arg("--config").arg(&config).env_remove("ROS_DOMAIN_ID");
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+
+        let files = ["--scene", scene.to_str().unwrap(), "--config", config.to_str().unwrap()];
+        let (done, said) = teach(&[&["here"], &files[..]].concat());
+        assert!(done, "{name}: {said}");
+        // Another pose, as somebody types it, and then back to what was taught.
+        let up: Vec<f64> = start.iter().map(|value| value + 0.05).collect();
+        let taught = std::fs::read_to_string(&scene).unwrap();
+        let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+        let lines = lines.count();
+        println!("{name}: {lines} lines of TOML with the pose");
+        assert!(lines <= 20, "{taught}");
+        std::fs::write(&scene, format!("{taught}\n[[pose]]\nname = \"up\"\njoints_rad = {up:?}\n")).unwrap();
+        for (pose, there) in [("up", &up), ("here", &start)] {
+            let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
+            assert!(done && said.contains("reached"), "{name} {pose}: {said}");
+            let off = rests_at(&mut robot).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            println!("{name}: '{pose}' reached, {off:.4} rad or m off");
+            assert!(off < 0.01);
+        }
+    }
 }
