@@ -133,7 +133,7 @@ impl Play {
             };
         }
         let waited = now_ms.saturating_sub(began_ms) >= SEARCH_MS;
-        let is_ready = refusal.is_none() && door.robot().can_follow().is_ok();
+        let is_ready = refusal.is_none() && door.robot().can_follow().is_ok() && door.has_seen(&self.motion);
         if !is_ready && !waited {
             return None;
         }

@@ -193,6 +193,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     );
 
     let stage = stage(&config, args.scene.as_deref())?;
+    stage.tell(&mut config.ros2);
     let map = config.motion_map();
     check_motions(&map, &config.mappings(), &stage.motions)?;
     let records = keep.record.is_some();

@@ -105,7 +105,9 @@ type Remote = Director<Box<dyn Robot + Send>>;
 
 fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     let base = stage.simulator(config).base_limits().to_owned();
-    let graph = Graph::open(&config.ros2, stage.limits, base, None)?;
+    let mut ros2 = config.ros2.clone();
+    stage.tell(&mut ros2);
+    let graph = Graph::open(&ros2, stage.limits, base, None)?;
     eprintln!("{}", graph.about);
     let robot: Box<dyn Robot + Send> = Box::new(graph.driver);
     Ok(stage.before(robot))

@@ -10,6 +10,7 @@
 #[cfg(feature = "urdf")]
 mod dae;
 pub mod director;
+pub mod frame;
 pub mod gen3;
 #[cfg(feature = "urdf")]
 mod hull;

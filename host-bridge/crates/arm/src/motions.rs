@@ -30,6 +30,7 @@ use host_robot::shape::Point;
 use host_robot::{DMat3, DQuat, Joints, MotionName, Pose};
 use serde::{Deserialize, Serialize};
 
+use crate::frame::Frame;
 use crate::model::SerialArm;
 
 /// The paper's motions and the Gen3's poses for them.
@@ -82,6 +83,12 @@ pub struct StepTable {
     /// The maximum force of the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
+    /// The place is seen from this object of the scene, or from the thing whose pose this topic has; see [`crate::frame`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// Maximum age of the pose on a topic when the motion begins.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub age_max_s: Option<f64>,
     /// The arm rests for this time in s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait_s: Option<f64>,
@@ -208,10 +215,12 @@ pub enum Step {
     To(Joints),
     /// The next of these poses each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
-    /// A position of the tool's point. Its origin is the point on the floor between the wheels.
+    /// A position of the tool's point, relative to the point on the floor between the wheels, or to a thing.
     Tool {
         /// Place and orientation.
         pose: Pose,
+        /// The thing, if there is one.
+        frame: Option<Frame>,
         /// In a straight line.
         straight: bool,
     },
@@ -389,6 +398,9 @@ impl Motions {
         if table.straight.is_some() && !(place || moves) {
             return Err("straight belongs to position_m, move_m, move_tool_m or turn_rad".to_owned());
         }
+        if (table.frame.is_some() && !place) || (table.age_max_s.is_some() && table.frame.is_none()) {
+            return Err("frame belongs to position_m, and age_max_s to a frame that is a topic".to_owned());
+        }
         if table.effort_n.is_some() && table.gripper.is_none() {
             return Err("effort_n belongs to gripper".to_owned());
         }
@@ -431,7 +443,8 @@ impl Motions {
                 return Err("position_m or quaternion_wxyz is no place".to_owned());
             }
             let pose = Pose { position_m, rotation: DMat3::from_quat(turn.normalize()) };
-            return Ok(Step::Tool { pose, straight: table.straight.unwrap_or(false) });
+            let frame = table.frame.as_ref().map(|name| Frame::read(name, table.age_max_s)).transpose()?;
+            return Ok(Step::Tool { pose, frame, straight: table.straight.unwrap_or(false) });
         }
         let (own, way_m) = match (table.move_m, table.move_tool_m) {
             (Some(_), Some(_)) => return Err(KINDS.to_owned()),
@@ -449,6 +462,11 @@ impl Motions {
         }
         let turn = DMat3::from_quat(DQuat::from_scaled_axis(turn));
         Ok(Step::Move { way_m, own, turn, straight: table.straight.unwrap_or(true) })
+    }
+
+    /// Returns the motions without the poses.
+    pub(crate) fn all(&self) -> &[Motion] {
+        &self.motions
     }
 
     /// Every pose, in rad.

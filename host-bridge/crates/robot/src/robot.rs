@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::base::{BaseConfig, Covariance, Odometry, Twist};
 use crate::gripper::{Grip, GripEnd};
 use crate::limits::{JointLimits, Motion};
-use crate::pose::Joints;
+use crate::pose::{Joints, Pose};
 use crate::trajectory::Trajectory;
 
 /// A value that a robot reports, with its age.
@@ -37,6 +37,24 @@ pub struct Wheels {
     pub speed_rad_s: [f64; 2],
     /// Angles turned since the start, in rad.
     pub angle_rad: [f64; 2],
+}
+
+/// The frame in which a robot was told where a thing is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Root {
+    /// The point on the floor between the wheels.
+    Base,
+    /// The arm's base.
+    Arm,
+}
+
+/// Where a thing is that the arm may go to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// Place and orientation, with finite values.
+    pub pose: Pose,
+    /// The frame of the pose.
+    pub root: Root,
 }
 
 /// The arm's progress on its trajectory.
@@ -191,6 +209,14 @@ pub trait Robot {
     /// Stops the fingers at their current position. This function never opens the fingers.
     fn halt_gripper(&mut self) {}
 
+    /// Returns where the thing is whose pose is published on this topic. Its age counts from the measurement.
+    ///
+    /// # Errors
+    /// The reason why this is not known, with a remedy.
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        Err(format!("nobody reads {topic} here: only `--ros2` with a robot reads topics"))
+    }
+
     /// Returns the longest time between a command and its effect.
     fn reaction_ms(&self) -> u64 {
         0
@@ -283,6 +309,9 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn halt_gripper(&mut self) {
         (**self).halt_gripper();
+    }
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        (**self).sighting(topic)
     }
     fn reaction_ms(&self) -> u64 {
         (**self).reaction_ms()

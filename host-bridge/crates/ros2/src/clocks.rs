@@ -90,9 +90,8 @@ impl Clocks {
         heard.push_back((now_ms, difference));
     }
 
-    /// Returns the graph's time with which the stamps are compared:
-    /// `/clock` if published, otherwise this machine's time.
-    fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
+    /// Returns the graph's time if the clocks agree: `/clock`, or otherwise this machine's time.
+    pub fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
                 time_s + now_ms.saturating_sub(at_ms).min(SIMULATED_SILENCE_MS) as f64 / 1000.0

@@ -5,6 +5,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use serde::{Deserialize, Serialize};
 
 use super::clocks::Stamp;
+use super::sightings::Watched;
 use host_robot::JOINTS;
 use host_topics::messages::ARM_PREFIX;
 
@@ -166,6 +167,9 @@ pub struct Ros2Config {
     pub arm_prefix: String,
     /// Topic of the simulator's URDF, with `--publish-sim`. Empty means that the URDF is not published.
     pub robot_description: String,
+    /// What the motions need of the graph, in addition to the file.
+    #[serde(skip)]
+    pub watched: Watched,
 }
 
 impl Default for Ros2Config {
@@ -212,6 +216,7 @@ impl Default for Ros2Config {
             arm_base_frame: String::new(),
             arm_prefix: text(ARM_PREFIX),
             robot_description: text("robot_description"),
+            watched: Watched::default(),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
     BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Part, Reading, Robot,
-    Trajectory, Twist,
+    Sighting, Trajectory, Twist,
 };
 
 use crate::node::RosNode;
@@ -136,6 +136,10 @@ impl Robot for RosDriver {
 
     fn halt_gripper(&mut self) {
         self.robot.halt_gripper();
+    }
+
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        self.robot.sighting(topic)
     }
 
     fn reaction_ms(&self) -> u64 {

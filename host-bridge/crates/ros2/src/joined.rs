@@ -83,7 +83,9 @@ pub struct Joined {
     /// The status of the goals on the arm's action server.
     /// The status is read only if we have no client for that server.
     pub goals: Option<Subscription<GoalStatusArray>>,
-    /// E-stop and fault flag. Each has one subscription for latched messages and one for new messages.
+    /// The poses of things. Each thing has its own topic.
+    pub things: Vec<Subscription<ros::PoseStamped>>,
+    /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// The time of a simulation.
     pub clock: Subscription<ros::Clock>,
@@ -193,6 +195,12 @@ impl Joined {
                 &latched(),
             )?),
         };
+        let things = config
+            .watched
+            .topics
+            .iter()
+            .map(|topic| subscription(&mut node, topic, ("geometry_msgs", "PoseStamped"), 1));
+        let things = things.collect::<Result<_, _>>()?;
         let mut flags = Vec::new();
         for topic in Inputs::new(config).topics() {
             let kind = ("std_msgs", "Bool");
@@ -249,6 +257,7 @@ impl Joined {
             odom: odom_read,
             controller_state,
             goals,
+            things,
             flags,
             clock,
             participants: BTreeMap::new(),

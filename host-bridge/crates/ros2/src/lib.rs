@@ -42,6 +42,7 @@ mod points;
 #[cfg(feature = "ros2")]
 pub mod publisher;
 pub mod robot;
+pub mod sightings;
 mod strays;
 pub mod stream;
 #[cfg(feature = "ros2")]

@@ -116,13 +116,22 @@ impl RosNode {
         robot.at(now_ms);
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
+        // The newest `/clock` counts, which may come after a pose.
+        let mut things = Vec::new();
         self.hear(wall_s, now_ms, |came| match came {
             Came::Arm(state, teller) => robot.see_from(teller, state),
             Came::Base(odometry) => robot.see_base(odometry),
             Came::Controller(told) => robot.see_controller(&told.state, told.scaling()),
             Came::ForeignGoals(goals) => robot.set_foreign_goals(*goals),
+            Came::Thing(n, pose) => things.push((*n, pose.clone())),
             Came::Clock(_) | Came::Flag { .. } => {}
         });
+        robot.set_clock(self.clocks.reference_s(wall_s, now_ms));
+        for (n, pose) in things {
+            if let Some(topic) = self.config.watched.topics.get(n) {
+                robot.see_thing(topic, &pose);
+            }
+        }
         if let Some(joined) = self.joined.as_mut().filter(|joined| joined.arm_way() == ArmWay::Action) {
             for (goal, answer) in joined.answers() {
                 robot.answer(goal, answer);
@@ -160,7 +169,7 @@ impl RosNode {
                     clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
                 }
                 Came::Controller(_) => heard.controller_states += 1,
-                Came::ForeignGoals(_) => {}
+                Came::ForeignGoals(_) | Came::Thing(..) => {}
             }
             see(&came);
         });

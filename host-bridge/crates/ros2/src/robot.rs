@@ -14,9 +14,10 @@ use super::answer::Answer;
 use super::arm::ArmLink;
 use super::config::Ros2Config;
 use super::gripper::{GripAnswer, GripperLink};
+use super::sightings::Sightings;
 use host_robot::{
     BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Odometry, Part,
-    Reading, Robot, Trajectory, Twist,
+    Reading, Robot, Sighting, Trajectory, Twist,
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
@@ -107,6 +108,7 @@ pub struct RosRobot {
     sent_ms: Option<u64>,
     arm: ArmLink,
     gripper: GripperLink,
+    things: Sightings,
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
@@ -134,6 +136,7 @@ impl RosRobot {
             sent_ms: None,
             arm: ArmLink::new(config, limits),
             gripper: GripperLink::new(config),
+            things: Sightings::new(config),
             outputs: Vec::new(),
             limits,
             base_limits,
@@ -212,6 +215,16 @@ impl RosRobot {
             }
         }
         self.seen = Some((BaseState { odometry: moved, covariance, wheels: None }, self.now_ms));
+    }
+
+    /// Sets the graph's time of this turn in seconds, by which stamps of things count.
+    pub fn set_clock(&mut self, clock_s: f64) {
+        self.things.at(clock_s);
+    }
+
+    /// Processes the pose of a thing.
+    pub fn see_thing(&mut self, topic: &str, pose: &ros::PoseStamped) {
+        self.things.see(topic, pose, self.now_ms);
     }
 
     /// Sets whether there is a subscriber for arm motions.
@@ -393,6 +406,10 @@ impl Robot for RosRobot {
 
     fn halt_gripper(&mut self) {
         self.gripper.halt(self.now_ms, &mut self.outputs);
+    }
+
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        self.things.get(topic, self.now_ms)
     }
 
     fn reaction_ms(&self) -> u64 {

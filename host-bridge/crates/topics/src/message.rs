@@ -79,6 +79,14 @@ messages! {
         orientation: Quaternion,
     }
 
+    /// `geometry_msgs/PoseStamped`.
+    "geometry_msgs/PoseStamped" PoseStamped {
+        /// When it was measured, and in which frame.
+        header: Header,
+        /// Where.
+        pose: Pose,
+    }
+
     /// `geometry_msgs/PoseWithCovariance`.
     "geometry_msgs/PoseWithCovariance" PoseWithCovariance {
         /// Pose.

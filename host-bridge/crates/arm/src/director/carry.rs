@@ -45,7 +45,7 @@ impl Running {
     pub(super) fn jogging(trajectory: Arc<Trajectory>, now_ms: u64) -> Self {
         Running {
             motion: MotionName::from(MotionName::JOG),
-            now: Act::Follow { trajectory, home_s: 0.0, touch: Touch::default() },
+            now: Act::Follow { trajectory, home_s: 0.0, touch: Touch::default(), anchor: None },
             since_ms: now_ms,
             left: VecDeque::new(),
             acts: 1,
@@ -191,6 +191,9 @@ impl<R: Robot> Director<R> {
                 let off_m = (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m);
                 return Err(format!("the base is {off_m:.2} m from where the motion was planned"));
             }
+        }
+        if let Some(anchor) = next.anchor() {
+            self.is_still_there(anchor, false)?;
         }
         let Act::Follow { trajectory, .. } = next else { return Ok(()) };
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;

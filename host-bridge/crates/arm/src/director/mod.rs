@@ -13,6 +13,7 @@ mod carry;
 mod guarding;
 mod jogging;
 mod planning;
+mod seen;
 mod sequence;
 
 use std::collections::HashMap;
@@ -114,6 +115,8 @@ pub struct Director<R> {
     plans: u64,
     wanted: Twist,
     allowed: Twist,
+    /// When the base was last driven or moved.
+    base_moved_ms: Option<u64>,
     guard_due_ms: u64,
     held: Option<String>,
     guard_stops: u32,
@@ -152,6 +155,7 @@ impl<R: Robot> Director<R> {
             plans: 0,
             wanted: Twist::ZERO,
             allowed: Twist::ZERO,
+            base_moved_ms: None,
             guard_due_ms: 0,
             held: None,
             guard_stops: 0,
@@ -214,6 +218,7 @@ impl<R: Robot> Door for Director<R> {
             let due_ms = if self.guard_due_ms > self.now_ms { self.guard_due_ms } else { u64::MAX };
             self.now_ms = now_ms.min(self.now_ms.saturating_add(tick_ms)).min(due_ms);
             self.robot.step(self.now_ms);
+            self.watch_base();
             self.carry_on();
             self.jog_on();
             self.doubt_plan();

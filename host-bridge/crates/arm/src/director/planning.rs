@@ -184,6 +184,7 @@ impl<R: Robot> Director<R> {
         if let Some(first) = acts.front() {
             self.can_go_on(first, at_work.then_some(planned))?;
         }
+        acts.iter().filter_map(Act::anchor).try_for_each(|anchor| self.is_still_there(anchor, true))?;
         let fingers = [then, &self.things].map(|things| things.opening_m);
         let are_same = match fingers {
             [Some(then_m), Some(now_m)] => (then_m - now_m).abs() <= LET_GO_M,

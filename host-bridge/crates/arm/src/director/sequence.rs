@@ -14,6 +14,7 @@ use crate::plan::collision::Part;
 use crate::plan::{Case, Placement, Purse, Refusal, line};
 use crate::things::{Things, Touch, in_scene};
 
+use super::seen::Anchor;
 use super::{Director, REST_RAD_S, Site, still_moves};
 
 /// Distance by which a hand backs away from an object before it moves freely.
@@ -33,9 +34,11 @@ pub(super) enum Act {
         /// 0 if the path does not lead through home.
         home_s: f64,
         touch: Touch,
+        /// The thing to which the motion is relative.
+        anchor: Option<Anchor>,
     },
     /// The gripper moves.
-    Grip { opening_m: f64, effort_n: Option<f64>, closes_on: bool },
+    Grip { opening_m: f64, effort_n: Option<f64>, closes_on: bool, anchor: Option<Anchor> },
     /// Nothing moves.
     Wait { ms: u64 },
 }
@@ -44,9 +47,17 @@ impl Act {
     /// Returns whether the hand is at an object, so that the base must not move.
     pub(super) fn is_at_work(&self) -> bool {
         match self {
-            Act::Follow { touch, .. } => *touch != Touch::default(),
+            Act::Follow { touch, anchor, .. } => *touch != Touch::default() || anchor.is_some(),
             Act::Grip { .. } => true,
             Act::Wait { .. } => false,
+        }
+    }
+
+    /// Returns the thing that the act is about.
+    pub(super) fn anchor(&self) -> Option<&Anchor> {
+        match self {
+            Act::Follow { anchor, .. } | Act::Grip { anchor, .. } => anchor.as_ref(),
+            Act::Wait { .. } => None,
         }
     }
 }
@@ -62,6 +73,8 @@ struct Draft {
     purse: Purse,
     /// A number that distinguishes plans that are otherwise equal.
     turn: u64,
+    /// The thing to which the current steps are relative.
+    anchor: Option<Anchor>,
 }
 
 impl Draft {
@@ -72,13 +85,16 @@ impl Draft {
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
         // Consecutive legs form one trajectory. The arm rests between them, and no new check is needed.
-        if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
+        // Before each leg to a thing, the pose of the thing is checked again.
+        if let Some(Act::Follow { trajectory, touch: same, anchor: None, .. }) = self.acts.back_mut()
             && *same == touch
+            && self.anchor.is_none()
         {
             *trajectory = Arc::new((**trajectory).clone().then(&leg));
             return;
         }
-        self.acts.push_back(Act::Follow { trajectory: Arc::new(leg), home_s, touch });
+        let anchor = self.anchor.clone();
+        self.acts.push_back(Act::Follow { trajectory: Arc::new(leg), home_s, touch, anchor });
     }
 }
 
@@ -87,6 +103,8 @@ impl Draft {
 pub(super) struct Task {
     plot: Plot,
     steps: Vec<Step>,
+    /// The frame of each step.
+    anchors: Vec<Option<Anchor>>,
     draft: Draft,
 }
 
@@ -114,12 +132,15 @@ impl Task {
 
     /// Returns the acts, or the reason why no safe sequence exists.
     pub(super) fn plan(self) -> Result<VecDeque<Act>, String> {
-        let Task { plot, steps, mut draft } = self;
-        for (i, step) in steps.iter().enumerate() {
+        let Task { plot, steps, anchors, mut draft } = self;
+        for ((i, step), anchor) in steps.iter().enumerate().zip(anchors) {
             let beside = |other: Option<&Step>| matches!(other, Some(Step::Grip { .. }));
             let is_rest = |step: &&Step| matches!(step, Step::Wait { .. });
             let before = beside(steps[..i].iter().rev().find(|step| !is_rest(step)));
             let after = beside(steps[i + 1..].iter().find(|step| !is_rest(step)));
+            if matches!(step, Step::To(_) | Step::ToNextOf(_) | Step::Tool { .. }) {
+                draft.anchor = anchor;
+            }
             let done = plot.take_step(step, &mut draft, (before, after));
             done.map_err(|why| {
                 let why = draft.purse.refusal().unwrap_or(why);
@@ -139,7 +160,9 @@ impl<R: Robot> Director<R> {
         if grips {
             self.robot.can_grip()?;
         }
-        let draft = self.draft(moves, grips || steps.len() > 1)?;
+        let anchors = self.anchors(&steps)?;
+        let needs_rest = grips || steps.len() > 1 || anchors.iter().any(Option::is_some);
+        let draft = self.draft(moves, needs_rest)?;
         // Each step needs at most one plan.
         self.plans += steps.len() as u64;
         let plot = Plot {
@@ -147,7 +170,7 @@ impl<R: Robot> Director<R> {
             limits: *self.robot.joint_limits(),
             draw: self.draws.get(motion).copied().unwrap_or_default(),
         };
-        Ok(Task { plot, steps, draft })
+        Ok(Task { plot, steps, anchors, draft })
     }
 
     /// Where everything is now.
@@ -185,6 +208,7 @@ impl<R: Robot> Director<R> {
             placement,
             purse: Purse::default(),
             turn: self.plans,
+            anchor: None,
         })
     }
 }
@@ -206,7 +230,7 @@ impl Plot {
             Step::To(goal_rad) => *goal_rad,
             Step::ToNextOf(goals_rad) => goals_rad[self.draw % goals_rad.len()],
             Step::Tool { .. } | Step::Move { .. } => {
-                let target = self.target(step, &draft.from_rad);
+                let target = self.target(step, draft)?;
                 if step.is_straight() {
                     return self.go_straight(&target, draft, beside);
                 }
@@ -219,13 +243,19 @@ impl Plot {
     }
 
     /// Returns the flange's goal in the arm's base frame.
-    fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
+    fn target(&self, step: &Step, draft: &Draft) -> Result<Pose, String> {
         let point_m = self.site.shop().tool.point_m();
-        let here = self.site.arm().flange_pose(from_rad);
-        match step {
+        let here = self.site.arm().flange_pose(&draft.from_rad);
+        Ok(match step {
             Step::Tool { pose, .. } => {
+                let frame = draft
+                    .anchor
+                    .as_ref()
+                    .map(|anchor| anchor.on_base(&self.site, &draft.things, draft.placement));
+                let frame = frame.transpose()?.unwrap_or(Pose::IDENTITY);
+                let pose = frame.then(pose.position_m, pose.rotation);
                 let mount_m = self.site.mount_m();
-                Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..*pose }
+                Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..pose }
             }
             Step::Move { way_m, own, turn, .. } => {
                 let way_m = if *own { here.rotation * *way_m } else { *way_m };
@@ -234,7 +264,7 @@ impl Plot {
                 Pose { position_m: here.at(point_m) + way_m - rotation * point_m, rotation }
             }
             _ => here,
-        }
+        })
     }
 
     fn angles_for(&self, target: &Pose, draft: &Draft) -> Result<Joints, String> {
@@ -382,7 +412,9 @@ impl Plot {
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
         // A robot without a reported finger distance may not report it afterwards either.
         draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
-        draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
+        // What the gripper holds or has left is not looked at again.
+        let anchor = draft.anchor.take();
+        draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on, anchor });
         Ok(())
     }
 }

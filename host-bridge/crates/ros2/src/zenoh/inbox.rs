@@ -40,6 +40,8 @@ pub enum Read {
     Base,
     /// The arm's controller.
     Controller,
+    /// The thing with this number among the configured ones.
+    Thing(usize),
     /// The status of all goals on an action's server.
     Status(Which),
     /// The progress of a server's goals.
@@ -73,6 +75,8 @@ pub enum Word {
     Base(Box<ros::Odometry>),
     /// The arm's controller.
     Controller(Box<ToldState>),
+    /// A thing.
+    Thing(usize, Box<ros::PoseStamped>),
 }
 
 /// An answer of an action's server.
@@ -139,6 +143,7 @@ impl Inbox {
             Read::Flag(input) => decode::<ros::Bool>(bytes).map(|flag| Word::Flag(input, flag.data)),
             Read::Arm => decode(bytes).map(Word::Arm),
             Read::Base => decode(bytes).map(|odometry| Word::Base(Box::new(odometry))),
+            Read::Thing(n) => decode(bytes).map(|pose| Word::Thing(n, Box::new(pose))),
             Read::Controller => decode(bytes).map(|told| Word::Controller(Box::new(told))),
             Read::Status(which) => {
                 if let Some(list) = decode(bytes) {

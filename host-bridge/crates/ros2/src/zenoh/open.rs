@@ -114,6 +114,9 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
             read.push((Read::Arm, topic(&config.joint_states, "sensor_msgs/msg/JointState")));
         }
     }
+    for (n, name) in config.watched.topics.iter().enumerate() {
+        read.push((Read::Thing(n), Named::new(name, "geometry_msgs/msg/PoseStamped")));
+    }
     let flags = Inputs::new(config);
     let flags = flags.topics().enumerate();
     let mut latched: Vec<(Read, Named)> =
