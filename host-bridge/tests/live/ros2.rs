@@ -1335,8 +1335,11 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
     assert_eq!(rests_at(&mut robot), before, "nothing has moved");
 }
 
+/// A joint of a description: name, type, `xyz` and `rpy` of its origin, axis.
+type UrdfJoint = (&'static str, &'static str, [f64; 3], [f64; 3], &'static str);
+
 /// An arm of nobody's make with the measures, joints and controller of a UR5e.
-const UR5E: &[(&str, &str, [f64; 3], [f64; 3], &str)] = &[
+const UR5E: &[UrdfJoint] = &[
     ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
     ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
     ("elbow_joint", "revolute", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
@@ -1346,7 +1349,7 @@ const UR5E: &[(&str, &str, [f64; 3], [f64; 3], &str)] = &[
 ];
 
 /// The description of such an arm, from `base_link` to `tool0`.
-fn urdf(joints: &[(&str, &str, [f64; 3], [f64; 3], &str)]) -> String {
+fn urdf(joints: &[UrdfJoint]) -> String {
     let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
     let link = |name: &str| {
         format!(
