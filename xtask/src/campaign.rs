@@ -48,7 +48,11 @@ const LIVE: &[&str] = &["--test", "live"];
 
 /// The order is that of the table in docs/SAFETY.md. Tests with the wall clock run one after another.
 const FAULTS: &[Fault] = &[
-    fault("v delays: constant, stepping, drifting ±5 %; restarts unseen", &["--test", "lateness"], &[]),
+    fault(
+        "v delays that are constant, step or drift by ±5 %, and restarts that nobody sees",
+        &["--test", "lateness"],
+        &[],
+    ),
     with(
         Needs::Speed,
         fault("v ten million steps of a hostile link", &["-p", "host-core", "--test", "hostile"], &[]),
@@ -74,7 +78,7 @@ const FAULTS: &[Fault] = &[
     fault("mutated files", &["--test", "hostile_files"], &[]),
     fault("v the program dead or frozen, its cable cut, in each motion", &["--test", "third_stop"], &[]),
     fault(
-        "v two servers, late and forged replies, lying joint states, 40,000 joint names",
+        "v two servers, late and forged replies, invalid joint states, 40,000 joint names",
         &["--test", "servers"],
         &[],
     ),
@@ -84,7 +88,10 @@ const FAULTS: &[Fault] = &[
         Needs::Cyclone,
         fault("kill -9, SIGSTOP for good, each signal, before a robot", LIVE, &["live::ros2::however"]),
     ),
-    with(Needs::Rclpy, fault("the same before ROS 2's own client library", LIVE, &["live::ros2::however"])),
+    with(
+        Needs::Rclpy,
+        fault("kill -9 before a robot with ROS 2's own client library", LIVE, &["live::ros2::however"]),
+    ),
     with(
         Needs::Cyclone,
         fault(
@@ -103,7 +110,11 @@ const FAULTS: &[Fault] = &[
     ),
     with(
         Needs::Cyclone,
-        fault("both boards' images before a robot: a silent one", LIVE, &["live::ros2::both_boards"]),
+        fault(
+            "the firmware images of both boards before a robot; one board is silent",
+            LIVE,
+            &["live::ros2::both_boards"],
+        ),
     ),
     fault(
         "each signal, and a closed or stalled terminal",

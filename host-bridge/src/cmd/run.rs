@@ -68,7 +68,7 @@ pub struct HandArgs {
     /// (repeatable)
     #[arg(long, value_name = "LABEL=MARK")]
     mark: Vec<String>,
-    /// Exchange the hands: --left is the gesture board, --right the tilt board
+    /// Exchange the hands: --left is then the port of the gesture board, and --right that of the tilt board
     #[arg(long)]
     left_handed: bool,
     /// Also drive a robot on a ROS 2 graph, as configured under ros2

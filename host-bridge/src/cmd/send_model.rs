@@ -29,7 +29,7 @@ pub struct Args {
     model: PathBuf,
     #[command(flatten)]
     port: PortOptions,
-    /// Send it even if the board already runs this model
+    /// Send the model even if the board already runs this model
     #[arg(long)]
     force: bool,
 }

@@ -39,7 +39,7 @@ pub struct Args {
     /// Configuration file with the robot's names under ros2, and for the pose if there is no scene
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Move to the pose (or perform the motion) with this name instead
+    /// Instead of saving a pose, move to the pose with this name (or perform the motion)
     #[arg(long)]
     play: bool,
     /// Do not ask before the arm moves

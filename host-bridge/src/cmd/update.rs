@@ -32,10 +32,10 @@ pub struct Args {
     file: Option<PathBuf>,
     #[command(flatten)]
     port: PortOptions,
-    /// Signs the image with this secret key; over Bluetooth, boards accept only images that are signed with their key
+    /// Sign the image with this secret key; over Bluetooth, boards accept only images that are signed with their key
     #[arg(long, value_name = "FILE")]
     key: Option<PathBuf>,
-    /// Only writes a new secret key to FILE, and its public key to FILE.pub (`cargo xtask firmware nano33 trouble --key FILE.pub`)
+    /// Only write a new secret key to FILE, and its public key to FILE.pub (`cargo xtask firmware nano33 trouble --key FILE.pub`)
     #[arg(long, value_name = "FILE", conflicts_with_all = ["file", "key"])]
     new_key: Option<PathBuf>,
 }

@@ -14,7 +14,7 @@ use super::people::Set;
 /// Hold out each person in turn and play their gestures slower and faster, with the matching forces
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Number of models per person, with the seeds 1, 2, ...
