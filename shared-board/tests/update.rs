@@ -256,7 +256,7 @@ fn a_board_s_own_layout_survives_cuts_too() {
 fn file() -> &'static [u8] {
     static FILE: OnceLock<Vec<u8>> = OnceLock::new();
     FILE.get_or_init(|| {
-        let image: Vec<u8> = (0..9_001u32).map(|i| (i * i >> 3) as u8).collect();
+        let image: Vec<u8> = (0..9_001u32).map(|i| ((i * i) >> 3) as u8).collect();
         Trailer { origin: 0x14000, board: 1, version: *b"0.9.1\0\0\0\0\0\0\0\0\0\0\0" }.file(&image)
     })
 }

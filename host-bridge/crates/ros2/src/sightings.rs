@@ -160,8 +160,8 @@ mod tests {
 
     fn pose(frame: &str, age_s: f64) -> PoseStamped {
         let stamp = Time::at_ns(((CLOCK_S - age_s) * 1e9).round() as u64);
-        let mut pose = PoseStamped::default();
-        pose.header = ros::Header { stamp, frame_id: frame.to_owned() };
+        let header = ros::Header { stamp, frame_id: frame.to_owned() };
+        let mut pose = PoseStamped { header, ..PoseStamped::default() };
         pose.pose.position.x = 0.7;
         pose.pose.orientation.w = 1.0;
         pose
