@@ -69,7 +69,8 @@ impl Tensor<'_> {
         names::tensor_type(self.kind)
     }
 
-    /// Returns the numbers of rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes per element.
+    /// Returns the numbers of rows and columns of a constant matrix. Both are in 1..=[`MAX_WIDTH`].
+    /// Each element has `size` bytes.
     fn matrix(&self, size: usize) -> Result<(usize, usize), TfliteError> {
         let &[rows, columns] = self.shape.as_slice() else {
             return unsupported(format!("weights of shape {:?}", self.shape));

@@ -70,7 +70,7 @@ struct World {
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses with the numbers of their probes.
+    /// Addresses of instructions that the test counts, each with the index of its counter.
     /// There should be few addresses, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
