@@ -10,6 +10,7 @@
 //! The simulation does *not* include the decisions of real people.
 //! Its results are therefore not valid for real hands, and every place that shows such a result must state this.
 
+mod everyday;
 mod path;
 mod sensor;
 mod wearer;
