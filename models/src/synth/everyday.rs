@@ -5,7 +5,8 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::path::{BodyPose, IdleKind, Kind, Smooth, moves};
+use super::path::{IdleKind, Kind, Smooth, moves};
+use super::pose::BodyPose;
 use super::wearer::normal;
 
 /// Start and duration in seconds, and the displacement.

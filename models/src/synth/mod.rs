@@ -12,6 +12,7 @@
 
 mod everyday;
 mod path;
+mod pose;
 mod sensor;
 mod wearer;
 

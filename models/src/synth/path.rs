@@ -12,6 +12,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
 use super::everyday::{Lift, Move, Stroll, everyday};
+use super::pose::{BodyPose, rotation};
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 
@@ -123,36 +124,6 @@ impl Segment {
     /// The part of a motion of `whole_s` seconds that starts at `from_s` and lasts `seconds`.
     pub fn cut(motion: Motion, whole_s: f64, from_s: f64, seconds: f64) -> Self {
         Self { motion, seconds, whole_s, from_s }
-    }
-}
-
-/// Position (m) and posture (roll, pitch, yaw in rad) at one time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct BodyPose {
-    pub position_m: [f64; 3],
-    pub posture_rad: [f64; 3],
-    /// Displacement of the body (m), which carries the hand without a swing of the arm.
-    pub carried_m: [f64; 3],
-}
-
-impl BodyPose {
-    fn each(self, other: Self, of: impl Fn(f64, f64) -> f64) -> Self {
-        let all = |a: [f64; 3], b: [f64; 3]| std::array::from_fn(|axis| of(a[axis], b[axis]));
-        Self {
-            position_m: all(self.position_m, other.position_m),
-            posture_rad: all(self.posture_rad, other.posture_rad),
-            carried_m: all(self.carried_m, other.carried_m),
-        }
-    }
-
-    /// The sum of both.
-    pub fn plus(self, other: Self) -> Self {
-        self.each(other, |a, b| a + b)
-    }
-
-    /// All values multiplied by the same number.
-    pub fn times(self, factor: f64) -> Self {
-        self.each(self, |a, _| factor * a)
     }
 }
 
@@ -520,18 +491,6 @@ fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
         2 => (-part, 1.0),
         _ => (-1.0, -part),
     }
-}
-
-/// Returns the rotation matrix (by rows) of roll about x, then pitch about y, then yaw about z.
-pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
-    let (sr, cr) = roll.sin_cos();
-    let (sp, cp) = pitch.sin_cos();
-    let (sy, cy) = yaw.sin_cos();
-    [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
 }
 
 #[cfg(test)]
