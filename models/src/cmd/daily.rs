@@ -34,6 +34,7 @@ enum Verb {
         out: PathBuf,
     },
     Events(Events),
+    Simulated(super::daily_simulated::Cmd),
 }
 
 /// Count events in daily movement: train with half of its people, test with the other half, and vice versa
@@ -73,6 +74,7 @@ impl Cmd {
                 Ok(())
             }
             Verb::Events(events) => events.run(),
+            Verb::Simulated(simulated) => simulated.run(),
         }
     }
 }
@@ -291,7 +293,7 @@ fn three_of_each<'a>(
 }
 
 /// Returns the 95 % confidence interval of the mean of a count (Byar's approximation for Poisson).
-fn interval(count: usize) -> (f64, f64) {
+pub(super) fn interval(count: usize) -> (f64, f64) {
     let bound = |n: f64, z: f64| {
         if n == 0.0 { 0.0 } else { n * (1.0 - 1.0 / (9.0 * n) + z / (3.0 * n.sqrt())).powi(3) }
     };
