@@ -76,7 +76,11 @@ const FAULTS: &[Fault] = &[
     fault("virtual: driving in proportion to the tilt", &["--test", "proportional"], &[]),
     with(Needs::Speed, fault("mutated streams", &["-p", "shared-proto", "--test", "mutations"], &[])),
     fault("mutated files", &["--test", "hostile_files"], &[]),
-    fault("virtual: the program dead or frozen, its cable cut, in each motion", &["--test", "third_stop"], &[]),
+    fault(
+        "virtual: the program dead or frozen, its cable cut, in each motion",
+        &["--test", "third_stop"],
+        &[],
+    ),
     fault(
         "virtual: two servers, late and forged replies, invalid joint states, 40,000 joint names",
         &["--test", "servers"],
@@ -133,7 +137,11 @@ const FAULTS: &[Fault] = &[
         &["live::stops::a_reader", "live::stops::output"],
     ),
     fault("stopped and continued, 0.3 to 60 s", LIVE, &["live::stops::a_program"]),
-    fault("virtual: the laptop asleep, both boards' images awake", LIVE, &["live::desk::a_laptop_that_slept"]),
+    fault(
+        "virtual: the laptop asleep, both boards' images awake",
+        LIVE,
+        &["live::desk::a_laptop_that_slept"],
+    ),
     fault("delays on the real program", LIVE, &["live::stops::a_board"]),
     fault("record cut short, or twice at a time", LIVE, &["live::stops::a_recording", "live::stops::two"]),
 ];

@@ -82,8 +82,37 @@ fn finished(
     Ok(layers)
 }
 
-/// Trains networks on labelled inputs, and merges them into one network.
-/// Rare labels count as much as common labels, and `limit` is the maximum input.
+/// The outputs that a network should learn.
+/// For each row, `values` holds one probability per label, multiplied by the weight of the row's label.
+struct Wanted {
+    labels: usize,
+    values: Vec<f32>,
+}
+
+impl Wanted {
+    /// The labels of the rows, smoothed.
+    fn labels(rows: &[(Vec<f32>, usize)], labels: usize, plan: &Steps) -> Self {
+        let weights = label_weights(rows, labels);
+        let of = |(_, label): &(Vec<f32>, usize)| {
+            let (label, weight) = (*label, weights[*label]);
+            (0..labels).map(move |n| weight * plan.target(n == label, labels))
+        };
+        Self { labels, values: rows.iter().flat_map(of).collect() }
+    }
+
+    /// The probabilities that a trained network gives to the rows.
+    fn probabilities(rows: &[(Vec<f32>, usize)], labels: usize, teacher: &[FloatLayer]) -> Self {
+        let weights = label_weights(rows, labels);
+        let of = |(input, label): &(Vec<f32>, usize)| {
+            let weight = weights[*label];
+            infer_float(teacher, input).into_iter().map(move |probability| weight * probability)
+        };
+        Self { labels, values: rows.iter().flat_map(of).collect() }
+    }
+}
+
+/// Returns one network whose logits are the mean of the logits of several networks.
+/// All networks must have the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {
