@@ -53,7 +53,7 @@ impl Stage {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
 
-    /// Tells the node which topics the motions need, and what the frame of the arm's base is called.
+    /// Tells the node which topics the motions need, and the name of the arm's base frame.
     pub fn tell(&self, ros2: &mut Ros2Config) {
         ros2.watched = Watched {
             topics: self.motions.topics(),

@@ -81,21 +81,21 @@ host_messages! {
         } => Both, 0;
         /// Changes the mode of the board.
         2 SetMode {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// The new mode.
             mode: Mode,
         } => Both, 0;
         /// Starts one step of the left hand's calibration.
         3 Calibrate {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// The pose in which the hand is held.
             step: CalibrationStep,
         } => Both, 0;
         /// Changes the left hand's tilt thresholds until the next restart.
         4 SetThresholds {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// The new thresholds.
             thresholds: TiltThresholds,
@@ -105,7 +105,7 @@ host_messages! {
         5 ModelBegin(ModelBegin<'a>) => Right, 0;
         /// A piece of the blob. Pieces must arrive in order; the [`Ack`] contains the next expected offset.
         6 ModelChunk {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// Offset of the data in the blob, in bytes.
             offset: u32,
@@ -115,7 +115,7 @@ host_messages! {
         } => Right, 0;
         /// Verifies and stores the blob, which is used after the next restart.
         7 ModelCommit {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// CRC-32 of the complete blob. The same number is the new model id.
             crc32: u32,
@@ -126,19 +126,19 @@ host_messages! {
             /// The signal to play.
             signal: Signal,
         } => Right, 2;
-        /// Announces a new image of the board. Its pieces follow as [`HostMessage::ModelChunk`], and a
-        /// [`HostMessage::ModelCommit`] restarts the board with it.
+        /// Announces a new image for the board. Its pieces follow as [`HostMessage::ModelChunk`].
+        /// A [`HostMessage::ModelCommit`] then restarts the board, which installs the image.
         9 ImageBegin {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// Size of the image's file in bytes.
             size: u32,
             /// CRC-32 of the file.
             crc32: u32,
         } => Right, 5;
-        /// Asks whether the image of this file runs. If it does, the board keeps it.
+        /// Asks whether the image of this file is running. If so, the board makes the image permanent.
         10 ImageConfirm {
-            /// Echoed in the [`Ack`].
+            /// The [`Ack`] repeats this number.
             request: u16,
             /// CRC-32 of the file.
             crc32: u32,
@@ -339,9 +339,9 @@ open_list! {
         StorageFailed = 9,
         /// Writes need a bonded link.
         NotBonded = 10,
-        /// The board does not accept the image: it is for another board, or its signature is not valid.
+        /// The board refused the image, because the image is for another board or its signature is invalid.
         ImageRefused = 11,
-        /// The board went back to its old image, because the new one did not say hello before a restart.
+        /// The board restored its old image, because the new image did not say hello before a restart.
         ImageWentBack = 12,
     }
 }
@@ -385,7 +385,7 @@ impl ModelBegin<'_> {
 /// Announces a model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct ModelBegin<'a> {
-    /// Echoed in the [`Ack`].
+    /// The [`Ack`] repeats this number.
     pub request: u16,
     /// The requirements and labels of the model; `model_id` is the CRC-32 of the complete blob.
     #[serde(borrow)]

@@ -40,7 +40,7 @@ pub struct Right {
 pub struct Heard {
     /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
-    /// Versions of the firmware from hello messages.
+    /// The firmware versions in the hello messages that were received.
     pub versions: Vec<String>,
     /// States of the hand.
     pub states: Vec<Right>,
@@ -128,7 +128,7 @@ impl RightRig {
         Self::air_of(image(Variant::Trouble), kind, motion)
     }
 
-    /// Starts such a session with this image.
+    /// Starts a session over Bluetooth with this image.
     pub fn air_of(image: Image, kind: Kind, motion: Box<dyn Motion>) -> Self {
         let controller = Controller::new(&image.symbols, Air::start(), 0);
         let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);

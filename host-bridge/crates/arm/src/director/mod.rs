@@ -115,7 +115,7 @@ pub struct Director<R> {
     plans: u64,
     wanted: Twist,
     allowed: Twist,
-    /// When the base was last driven or moved.
+    /// Time at which the base last received a drive command or last reported a movement.
     base_moved_ms: Option<u64>,
     guard_due_ms: u64,
     held: Option<String>,

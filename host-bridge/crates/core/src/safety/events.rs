@@ -66,7 +66,7 @@ pub enum Event {
         /// It refuses.
         refuses: bool,
     },
-    /// The clutch lends the left hand to the arm, or returns it to the base.
+    /// The clutch switches the left hand to the arm, or back to the base.
     /// Lending requires the armed state.
     Clutch {
         /// It is lent.

@@ -169,7 +169,7 @@ impl Drop for Server {
     }
 }
 
-/// The place of one connection among the others.
+/// The state of one open connection.
 #[derive(Debug)]
 pub struct Seat {
     since: Instant,
