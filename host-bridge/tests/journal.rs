@@ -250,7 +250,7 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
             live.press(HandKey::Gesture(2), now_ms);
         }
         if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
-            // The planner's thread gets time to plan. The session's time stands still meanwhile.
+            // This loop waits for the planner's thread. Meanwhile, the session's virtual time does not advance.
             let since_ms = *planned_ms.get_or_insert(now_ms);
             let began = Instant::now();
             while now_ms == since_ms + 500 && !live.door().plan_is_ready() {

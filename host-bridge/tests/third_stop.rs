@@ -44,7 +44,7 @@ struct Controller {
     message: Option<JointTrajectory>,
     joints: [f64; JOINTS],
     speed: [f64; JOINTS],
-    /// Largest change of speed in one cycle, in rad/s².
+    /// Largest acceleration in one cycle, in rad/s².
     worst_rad_s2: f64,
 }
 

@@ -12,7 +12,7 @@
 //! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.
 //! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
 //! Every other change is a major change (see [`PROTOCOL_MAJOR`]).
-//! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
+//! [`Hello`] and [`HostMessage::HelloRequest`] never change, so any two versions can detect that they differ.
 
 use crate::frame::{ParseError, frame_len};
 use postcard::experimental::max_size::MaxSize;
@@ -81,21 +81,21 @@ host_messages! {
         } => Both, 0;
         /// Changes the mode of the board.
         2 SetMode {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// The new mode.
             mode: Mode,
         } => Both, 0;
         /// Starts one step of the left hand's calibration.
         3 Calibrate {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// The pose in which the hand is held.
             step: CalibrationStep,
         } => Both, 0;
         /// Changes the left hand's tilt thresholds until the next restart.
         4 SetThresholds {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// The new thresholds.
             thresholds: TiltThresholds,
@@ -105,7 +105,7 @@ host_messages! {
         5 ModelBegin(ModelBegin<'a>) => Right, 0;
         /// A piece of the blob. Pieces must arrive in order; the [`Ack`] contains the next expected offset.
         6 ModelChunk {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// Offset of the data in the blob, in bytes.
             offset: u32,
@@ -115,7 +115,7 @@ host_messages! {
         } => Right, 0;
         /// Verifies and stores the blob, which is used after the next restart.
         7 ModelCommit {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// CRC-32 of the complete blob. The same number is the new model id.
             crc32: u32,
@@ -129,7 +129,7 @@ host_messages! {
         /// Announces a new image for the board. Its pieces follow as [`HostMessage::ModelChunk`].
         /// A [`HostMessage::ModelCommit`] then restarts the board, which installs the image.
         9 ImageBegin {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// Size of the image's file in bytes.
             size: u32,
@@ -138,7 +138,7 @@ host_messages! {
         } => Right, 5;
         /// Asks whether the image of this file is running. If so, the board makes the image permanent.
         10 ImageConfirm {
-            /// The [`Ack`] repeats this number.
+            /// Echoed in the [`Ack`].
             request: u16,
             /// CRC-32 of the file.
             crc32: u32,
@@ -385,7 +385,7 @@ impl ModelBegin<'_> {
 /// Announces a model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct ModelBegin<'a> {
-    /// The [`Ack`] repeats this number.
+    /// Echoed in the [`Ack`].
     pub request: u16,
     /// The requirements and labels of the model; `model_id` is the CRC-32 of the complete blob.
     #[serde(borrow)]

@@ -122,7 +122,7 @@ impl RightRig {
         session
     }
 
-    /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
+    /// Starts the image that contains Nordic's controller. The board's own bootloader starts first.
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
         Self::air_of(image(Variant::Trouble), kind, motion)

@@ -86,7 +86,7 @@ impl Drop for Thread {
 }
 
 impl Job {
-    /// A thread that cannot start, or that fails, gives a plan that never arrives.
+    /// If the thread cannot start, or if it fails, the plan never arrives.
     /// Such a plan never arrives in a replayed session either.
     fn aside(task: Task) -> Self {
         let (is_done, ends) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());

@@ -337,7 +337,7 @@ pub struct Surroundings<'w> {
 }
 
 impl<'w> Surroundings<'w> {
-    /// Takes each check from this purse. When it is empty, no path is clear.
+    /// Subtracts each check from this purse. When the purse is empty, every path counts as blocked.
     #[must_use]
     pub fn paid_from(self, purse: &'w Purse) -> Self {
         Surroundings { purse: Some(purse), ..self }

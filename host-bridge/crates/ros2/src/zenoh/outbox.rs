@@ -154,7 +154,7 @@ impl Outbox {
         lane.came.notify_all();
     }
 
-    /// Adds a message, which replaces an older one that still waits.
+    /// Adds a message. It replaces an older message that is still waiting.
     pub fn put(&self, place: Place, message: Vec<u8>) -> Sent {
         let lane = self.lane(place.lane());
         let replaces = lane.lock().put(place, message);
