@@ -182,8 +182,8 @@ impl<F: MappedFlash> ModelStore<F> {
     }
 
     /// Executes a request and answers it.
-    /// After it has erased a page, it calls `pause`.
-    /// There, a board reads the samples that its sensor has stored in the meantime.
+    /// After this function has erased a page, it calls `pause`.
+    /// During this pause, a board reads the samples that its sensor stored while the page was erased.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,

@@ -59,7 +59,7 @@ board_messages! {
         /// The answer to every other request.
         7 Ack(Ack) => Both, 0;
         /// The requirements and labels of the running model.
-        /// A right hand's board sends them after each hello.
+        /// A right hand's board sends this message after each hello.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
         /// The hardware of a right hand's board. The board sends this message after each hello.

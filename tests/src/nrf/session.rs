@@ -75,7 +75,7 @@ pub struct RightRig {
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// The Bluetooth of the laptop, if it uses Bluetooth. Another laptop is then connected at D0.
     pub ble: Option<BleHost>,
-    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0, too.
+    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0 as well.
     pub air: Option<AirHost>,
     /// Messages that the other laptop, at D0, received.
     pub uart: Listener,

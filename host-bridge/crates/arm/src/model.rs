@@ -196,7 +196,7 @@ impl SerialArm {
         unwound
     }
 
-    /// Where the flange is.
+    /// Returns the flange's pose at these joint angles.
     pub fn flange_pose(&self, joints_rad: &Joints) -> Pose {
         self.link_poses(joints_rad)[JOINTS]
     }

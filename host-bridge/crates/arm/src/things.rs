@@ -230,7 +230,7 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// Returns the permitted contacts: with the object and, for a held object, with its support.
+    /// Returns the permitted contacts with the object, and for a held object also the contacts with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);

@@ -75,7 +75,7 @@ pub struct Counts {
     /// Number of speeds and pieces of arm motions that newer ones replaced before they were sent.
     /// This happens only in stalled Zenoh networks.
     pub replaced: u64,
-    /// Goals that were cancelled or became too old before they were sent (likewise).
+    /// Goals that were cancelled or became too old before they were sent. This also happens only in stalled networks.
     pub withdrawn: u64,
     /// Messages and requests that could not be sent.
     pub failed: u64,

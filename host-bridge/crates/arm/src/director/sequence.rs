@@ -173,7 +173,7 @@ impl<R: Robot> Director<R> {
         Ok(Task { plot, steps, anchors, draft })
     }
 
-    /// Where everything is now.
+    /// Returns the current positions of the arm and all objects.
     fn draft(&self, moves: bool, needs_rest: bool) -> Result<Draft, String> {
         if moves {
             self.robot.can_follow()?;

@@ -60,7 +60,7 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ceases to refuse motion.
+    /// The robot itself begins to refuse motion, or no longer refuses it.
     /// The cause may be its e-stop, a fault, or clocks that differ.
     Robot {
         /// It refuses.
@@ -133,9 +133,9 @@ pub enum Action {
     Lent(bool),
     /// These bends count.
     Bends {
-        /// Of the index finger.
+        /// Number of bends of the index finger.
         index: u8,
-        /// Of the middle finger.
+        /// Number of bends of the middle finger.
         middle: u8,
     },
     /// This gesture counts.
