@@ -50,7 +50,7 @@ impl Bridge {
         GestureOutcome::Lent
     }
 
-    /// Takes the left hand back, in every state.
+    /// Returns the left hand to the base, in any state.
     pub(super) fn take_back(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Clutch { lends: false }, now_ms, robot);
     }

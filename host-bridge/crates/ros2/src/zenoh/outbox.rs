@@ -162,7 +162,7 @@ impl Outbox {
         if replaces { Sent::Instead } else { Sent::Yes }
     }
 
-    /// Adds a request, unless too many requests wait.
+    /// Adds a request, unless too many requests are already waiting.
     pub fn ask(&self, ask: Ask) -> Sent {
         let lane = self.lane(Lane::Requests);
         let taken = lane.lock().ask(ask);
