@@ -1,4 +1,4 @@
-//! Tests that stops work on the real program while other parts fail.
+//! Tests that stop commands still work in the real program while other parts fail.
 //! Each test is one row of the campaign (`cargo xtask campaign`).
 //!
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.

@@ -182,7 +182,8 @@ impl Outbox {
     }
 }
 
-/// Numbers of end points created by [`Outbox::id`] or by the threads themselves; lower numbers belong to the start.
+/// First numbers of the end points that [`Outbox::id`] creates, and of those that the threads create.
+/// Lower numbers are used at the start.
 const CALLERS_IDS: u32 = 1000;
 const COURIERS_IDS: u32 = 1_000_000;
 
