@@ -17,11 +17,11 @@ use crate::{about, board, state, vibrate};
 
 /// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
 const PAUSE: Duration = Duration::from_millis(40);
-/// Time in which the answer to the last piece of a new image reaches the laptop before the board restarts.
+/// Time between the answer to an image's commit and the restart, so that the answer reaches the laptop.
 #[cfg(feature = "trouble")]
 const LAST_WORDS: Duration = Duration::from_millis(300);
 
-/// Answers for ever.
+/// Answers the laptop's requests forever.
 pub async fn run<F: MappedFlash>(
     mut store: ModelStore<F>,
     #[cfg(feature = "trouble")] mut images: ImageStore<impl MappedFlash>,
@@ -38,7 +38,7 @@ pub async fn run<F: MappedFlash>(
         }
         #[cfg(feature = "trouble")]
         if received.trusted && matches!(message, HostMessage::HelloRequest) {
-            // If the mark is not stored, the laptop's question about the image says so.
+            // If the mark cannot be stored, the laptop learns this when it asks about the image.
             images.said_hello().await;
         }
         if let Some(request) = request {

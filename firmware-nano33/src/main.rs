@@ -159,7 +159,7 @@ type BoardFlash = radio::RadioFlash;
 #[cfg(not(feature = "radio"))]
 type BoardFlash = flash::Controller;
 
-/// Answers the laptop.
+/// Answers the laptop's requests.
 #[cfg(feature = "trouble")]
 #[embassy_executor::task]
 async fn run_control(
@@ -169,7 +169,7 @@ async fn run_control(
     control::run(store, images).await
 }
 
-/// Answers the laptop.
+/// Answers the laptop's requests.
 #[cfg(not(feature = "trouble"))]
 #[embassy_executor::task]
 async fn run_control(store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>) {

@@ -20,7 +20,7 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
 #[cfg(feature = "trouble")]
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
-/// Slot B of the images and the journal of their exchange.
+/// Address of slot B, which is followed by the journal of the image exchange.
 #[cfg(feature = "trouble")]
 pub const IMAGES_START: u32 = boards::BASE + shared_board::update::SLOT_B;
 /// Bytes per erasable page.
@@ -49,11 +49,11 @@ pub trait Flash {
 /// A part of a controller's flash.
 pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
 
-/// The place of a new image.
+/// The flash for a new image and the journal.
 #[cfg(feature = "trouble")]
 pub type Images<F> = Region<F, IMAGES_START, { shared_board::images::STORE_BYTES }>;
 
-/// The two slots of models.
+/// The flash for the two model slots.
 pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;
 
 impl<F, const START: u32, const BYTES: usize> ErrorType for Region<F, START, BYTES> {

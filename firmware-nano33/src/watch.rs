@@ -17,7 +17,7 @@ use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 pub struct Led {
     /// Something is wrong.
     pub red: Output<'static>,
-    /// Gestures are named.
+    /// The board recognises gestures.
     pub green: Output<'static>,
     /// Raw samples are recorded.
     pub blue: Output<'static>,

@@ -1,5 +1,5 @@
-//! Goals that move: a step goes to where an object or a thing on a topic is, or nothing moves and the reason is told.
-//! The tests run in virtual time, with the simulator and with a robot on ROS 2 whose replies the test provides.
+//! Moving goals: a step goes to the current position of an object, or nothing moves and the program gives the reason.
+//! The tests run in virtual time, with the simulator and with a ROS 2 robot whose replies come from the test.
 
 use host_bridge::arm::Director;
 use host_bridge::arm::gen3::{COUNT, HOME, JOINT_NAMES};
@@ -28,7 +28,7 @@ const TABLE: &str = r#"
     size_m = [0.6, 0.9, 0.45]
 "#;
 
-/// Mount of the arm in the default scene.
+/// Position of the arm's base on the robot in the default scene.
 const MOUNT_M: [f64; 3] = [0.1, 0.0, 0.4];
 
 fn simulated(scene: &str) -> Robot {
@@ -92,11 +92,11 @@ fn the_arm_picks_an_object_up_where_it_stands_and_wherever_the_base_then_is() {
             (Some(true), vec!["the gripper has cup (60 mm)".to_owned()]),
             "{at_m:?}"
         );
-        // What is in the gripper is no place to go to.
+        // The arm cannot move to an object that is in its own gripper.
         let held = robot.start("fetch").map_err(|error| error.to_string());
         assert!(robot.odometry().x_m <= 0.0);
         match held {
-            // The motion opens the gripper first, and the cup falls to a place that is known.
+            // The motion may begin, because it first opens the gripper, and the cup then falls to a known place.
             Ok(()) => robot.halt(),
             Err(why) => assert!(why.starts_with("step "), "{why}"),
         }
@@ -114,7 +114,7 @@ fn an_object_that_does_not_exist_is_an_error_of_the_file_and_a_topic_is_refused_
     assert!(refused.contains("step 2: nobody reads /cup here"), "{refused}");
 }
 
-/// Time of day at the start of a test.
+/// Unix time at the start of a test.
 const START_S: f64 = 1_790_000_000.0;
 
 const SCENE: &str = r#"
@@ -129,13 +129,13 @@ const SCENE: &str = r#"
     ]
 "#;
 
-/// A robot on ROS 2 in virtual time, and a camera that measures where the cup is every 100 ms.
+/// A ROS 2 robot in virtual time, and a camera that measures the cup's position every 100 ms.
 struct Site {
     door: Director<RosRobot>,
     now_ms: u64,
     joints_rad: Joints,
     base: ros::Odometry,
-    /// In the arm's base frame; `None`: the camera is silent.
+    /// The cup's position in the frame of the arm's base. With `None`, the camera sends nothing.
     cup_m: Option<[f64; 3]>,
     frame: &'static str,
     wanted: Twist,
@@ -174,7 +174,7 @@ impl Site {
         site
     }
 
-    /// A message that was measured so long ago.
+    /// Creates the camera's message with a measurement of this age.
     fn message(&self, age_s: f64) -> ros::PoseStamped {
         let stamp_s = START_S + self.now_ms as f64 / 1000.0 - age_s;
         let mut pose = ros::PoseStamped::default();
@@ -223,7 +223,7 @@ impl Site {
         started
     }
 
-    /// Checks that a motion is refused for this reason, and that nothing is sent.
+    /// Checks that a motion is refused for this reason, and that the robot receives no goal.
     fn refuses(&mut self, motion: &str, told: &str) {
         let refused = self.start(motion).unwrap_err().to_string();
         assert!(refused.contains(told), "{refused}");
@@ -242,7 +242,7 @@ impl Site {
         self.sent.iter().filter_map(goal).collect()
     }
 
-    /// The tool's point at these angles, in the arm's base frame.
+    /// Returns the position of the tool's point at these joint angles, in the frame of the arm's base.
     fn tool_m(&self, joints_rad: &Joints) -> DVec3 {
         let tool = self.door.picture();
         assert!(!tool.tool.is_empty());
@@ -250,7 +250,7 @@ impl Site {
         SerialArm::gen3().flange_pose(joints_rad).at(world.world().tool().point_m())
     }
 
-    /// Moves the arm to its newest goal at a realistic speed, and reports success.
+    /// Moves the arm to its newest goal at a realistic speed, and reports success to the program.
     fn arrive(&mut self) {
         let (goal, there) = *self.goals().last().unwrap();
         self.door.robot_mut().answer(goal, Answer::Accepted);
@@ -286,7 +286,7 @@ fn the_arm_goes_to_where_the_thing_is_in_either_frame() {
         for cup_m in [[0.55, 0.1, 0.1], [0.6, -0.15, 0.15]] {
             let mut site = Site::new();
             if frame == "mobile_base" {
-                // The base's own name is told apart from the arm's root by the configuration.
+                // The configuration gives the mobile base a frame name that differs from the name of the arm's root.
                 let config = Config::default();
                 let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
                 let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
@@ -319,7 +319,7 @@ fn the_arm_goes_to_where_the_thing_is_in_either_frame() {
 fn stale_unreachable_and_unsafe_goals_are_refused_before_anything_moves() {
     let mut site = Site::new();
     site.cup_m = None;
-    // Each step says how old a pose may be: 0.43 s are too old for the one, and not for the other.
+    // Each step has its own maximum age. A pose that is 0.43 s old is too old for step 1, but not for the other step.
     site.run(400);
     let refused = site.start("lower").unwrap_err().to_string();
     assert!(
@@ -333,7 +333,7 @@ fn stale_unreachable_and_unsafe_goals_are_refused_before_anything_moves() {
     site.cup_m = Some([1.6, 0.0, 0.1]);
     site.run(200);
     site.refuses("above", "beyond the arm's reach");
-    // The tool would be inside the table.
+    // At this position of the cup, the tool would be inside the table.
     site.cup_m = Some([0.7, 0.0, -0.2]);
     site.run(200);
     site.refuses("above", "no joint angles were found");
@@ -367,11 +367,11 @@ fn a_base_that_has_moved_since_the_measurement_makes_the_pose_useless() {
     site.cup_m = None;
     site.run(20);
     site.refuses("above", "the base has moved since");
-    // A newer pose counts again.
+    // A pose that is measured after the base has stopped is accepted.
     site.cup_m = Some([0.55, 0.1, 0.1]);
     site.run(200);
     site.start("above").unwrap();
-    // Somebody else pushes the base, as its odometry tells.
+    // Somebody pushes the base, and the program notices this in the odometry.
     let mut site = Site::new();
     site.base.twist.twist.linear.x = 0.05;
     site.run(30);
@@ -392,7 +392,7 @@ fn a_thing_that_moves_while_the_way_to_it_is_planned_is_not_gone_to() {
         assert_eq!(!site.goals().is_empty(), begins, "{moved_m}: {:?}", site.reports);
         assert_eq!(site.told("what /cup shows has moved by 0.020 m"), !begins);
     }
-    // A topic that falls silent meanwhile is no better.
+    // The plan is also discarded if the topic falls silent during planning.
     let mut site = Site::with(Director::planning_held);
     site.start("above").unwrap();
     site.cup_m = None;
@@ -420,7 +420,7 @@ fn between_two_parts_a_thing_that_moved_ends_the_motion_and_one_that_is_hidden_d
     assert_eq!((site.goals().len(), site.ended()), (1, Some(false)));
     assert!(site.told("what /cup shows has moved by 0.030 m"), "{:?}", site.reports);
 
-    // A camera that now says nonsense is not trusted either.
+    // The motion also ends if the camera's pose becomes unusable.
     let mut site = Site::new();
     site.start("lower").unwrap();
     site.frame = "map";

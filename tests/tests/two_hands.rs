@@ -336,7 +336,7 @@ fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral(
     steered.desk.right.as_mut().unwrap().wire = Wire::Uart(true);
     steered.needs_neutral("right cable (UART) put back");
 
-    // The left cable supplies the board, which restarts after reconnection in a hand that is still tilted.
+    // The left cable also powers the board. After the reconnection, the board restarts while the hand is still tilted.
     steered.both_move();
     steered.desk.left.as_mut().unwrap().cable = false;
     say("left board without power", steered.halts(Which::Left));

@@ -83,7 +83,7 @@ fn is_xiao(name: &str) -> bool {
 }
 
 /// Builds all variants, or only the named one, and prints their sizes.
-/// `--key` names the public key with which the boards check updates over Bluetooth.
+/// `--key` gives the file with the public key. Boards use this key to check updates over Bluetooth.
 ///
 /// # Errors
 /// Fails if a variant does not build, or if the name is unknown.

@@ -185,7 +185,7 @@ fn copy(from: &Path, to: &PathBuf) -> Result<()> {
     Ok(())
 }
 
-/// Another project's crate in the programs: `name vVERSION` and its licence.
+/// A third-party crate in the programs, as `name vVERSION`, and the licence of this crate.
 type Part<'a> = (&'a str, &'a str);
 
 /// Returns the crates of other projects, each once.

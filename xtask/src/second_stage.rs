@@ -1,5 +1,6 @@
-//! The second stage of images that can be updated through their port, and the two files that such an image is given as:
-//! one to flash, with the second stage, and one for `host-bridge update`.
+//! Builds the second stage for images that can be updated without a debug probe.
+//! Also writes the two files of such an image:
+//! one for flashing, which includes the second stage, and one for `host-bridge update`.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,20 +13,20 @@ use crate::steps::sh;
 use crate::toolchain::{Target, cargo};
 use crate::{firmware_nano33, root, target_dir};
 
-/// Where the second stages of a Nano 33 and of a XIAO start.
+/// Start address of the second stage on a Nano 33. The next constant is the address on a XIAO.
 const NANO33: u32 = 0x1_0000;
 const XIAO: u32 = 0x2_7000;
 const KEY_BYTES: usize = 32;
 
-/// Returns the address at which the file to flash starts.
+/// Returns the start address of the file for flashing.
 pub fn base(is_xiao: bool) -> u32 {
     if is_xiao { XIAO } else { NANO33 }
 }
 
-/// Builds the second stage of an image, and returns its path, which is beside the image.
+/// Builds the second stage of an image, and returns its path, which is in the same folder as the image.
 ///
 /// # Errors
-/// If it does not build.
+/// Fails if the second stage does not build.
 pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
     let mut command = cargo(Target::Thumb, "build")?;
     command.args(["--release", "--locked", "-p", "nano33-stage"]);
@@ -40,11 +41,11 @@ pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
     Ok(stage)
 }
 
-/// Writes `.bin`, which is flashed and contains the second stage with this public key or none, and `.update`.
-/// Returns the two paths.
+/// Writes a `.bin` file for flashing and an `.update` file, and returns the two paths.
+/// The `.bin` file includes the second stage, which contains the public key if there is one.
 ///
 /// # Errors
-/// If a part is too large, or the key is none.
+/// Fails if a part is too large, or if the key file does not contain a key.
 pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>) -> Result<[PathBuf; 2]> {
     let raw = |elf: &Path| -> Result<Vec<u8>> {
         let file = elf.with_extension("raw");
@@ -70,7 +71,7 @@ pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>)
     Ok(files)
 }
 
-/// The second stage, its key at its end, and the image.
+/// Returns the second stage, with the key at its end, followed by the image.
 fn whole(mut stage: Vec<u8>, linked: &[u8], key: Option<[u8; KEY_BYTES]>) -> Result<Vec<u8>> {
     let room = STAGE_BYTES as usize - KEY_BYTES;
     ensure!(stage.len() <= room, "the second stage has {} bytes, and room for {room}", stage.len());
@@ -98,7 +99,7 @@ fn public_key(path: &Path) -> Result<[u8; KEY_BYTES]> {
     Ok(key)
 }
 
-/// The version in the firmware's Cargo.toml.
+/// Returns the version in the firmware's Cargo.toml.
 fn version() -> Result<String> {
     let manifest = std::fs::read_to_string(root().join("firmware-nano33/Cargo.toml"))?;
     let line = manifest.lines().find_map(|line| line.strip_prefix("version = \""));

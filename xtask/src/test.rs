@@ -410,7 +410,8 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Tests two arms if the packages for these checks are installed. With `--full`, tests ten arms and a Gen3 with tools.
+/// Tests two arms, if the packages for these checks are installed.
+/// With `--full`, it tests ten arms and a Gen3 with tools.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");

@@ -282,7 +282,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
 }
 
-/// Places in the right hand's recording: 16 s of rest, and the beginning of a to-fro.
+/// Times in the right hand's recording at which 16 s of rest and a to-fro gesture begin.
 const RESTS_S: f64 = 70.5;
 const TO_FRO_S: f64 = 8.2;
 
@@ -300,7 +300,7 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "[jog]\nlabel = 'to-fro'\n", &options);
     let lends = |lent: bool| move |v: &Value| is(v, "jogging") && v["lent"] == lent;
-    // The clutch is refused until the program knows the arm, which takes seconds on Fast DDS.
+    // The program refuses the clutch until it has received the arm's state, which takes seconds on Fast DDS.
     let mut lent = None;
     for _ in 0..20 {
         right.jump(RESTS_S);
@@ -319,7 +319,8 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let is_piece = |v: &Value| is(v, "trajectory");
     assert!(!robot.seen.iter().any(|(_, v)| is_piece(v)), "nothing moves yet");
 
-    // The hand stays tilted. A busy machine may halt the arm before it moves, and then needs neutral again.
+    // The left hand stays tilted. On a busy machine, the arm may halt before it moves.
+    // After such a halt, the hands must be neutral again.
     let moves = |v: &Value| is(v, "arm") && v["moves"] == true;
     let mut has_moved = None;
     for _ in 0..10 {
@@ -338,8 +339,8 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     bridge.catch_up();
     assert!(robot.seen.iter().filter(|(_, v)| is_piece(v)).count() > 20);
 
-    // The right hand begins the gesture that opens the clutch. The arm brakes at its first movement, before the
-    // gesture is recognised.
+    // The right hand begins the gesture that opens the clutch.
+    // The arm brakes when this hand begins to move, before the gesture is recognised.
     let (lateness, place) = (Lateness::watch(), bridge.seen.len());
     right.jump(TO_FRO_S);
     let halts = |v: &Value| is(v, "halt") && v["reason"] == "not-at-rest";
@@ -359,7 +360,7 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let there = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
     assert!(there.zip(HOME).any(|(there, home)| (there - home).abs() > 0.02), "{}", robot.seen[rests].1);
 
-    // The base stands still, even after the gesture gave the hand back: the hand has not been neutral since.
+    // The base does not move after the gesture, because the left hand has not been neutral since then.
     if is_full() {
         bridge.wait_from(halt, "the clutch is open", lends(false));
     }
@@ -1187,7 +1188,7 @@ pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
 pub(super) const GRIP_MAPS: [&str; 6] =
     ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
 
-/// Maximum time from a gesture's event to the goal at the gripper.
+/// Maximum time between a gesture's event and the arrival of the goal at the gripper.
 const GRIP_MS: f64 = 200.0;
 
 /// The gripper closes on the object, opens, and is halted while it closes again.
@@ -1270,7 +1271,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     assert!(!done && said.contains("'nowhere'"), "{said}");
 }
 
-/// Runs `teach` with these arguments, and returns whether it succeeded and what it said.
+/// Runs `teach` with these arguments, and returns whether it succeeded and what it printed.
 fn teach(arguments: &[&str]) -> (bool, String) {
     let mut command = Command::new(crate::host_bridge());
     command.arg("teach").args(arguments).env_remove("ROS_DOMAIN_ID");
@@ -1280,7 +1281,7 @@ fn teach(arguments: &[&str]) -> (bool, String) {
     (output.status.success(), both.join(""))
 }
 
-/// The angles at which the robot's arm rests.
+/// Returns the joint angles in the last report in which the robot's arm did not move.
 fn rests_at(robot: &mut Teller) -> Vec<f64> {
     robot.catch_up();
     let rest = robot.seen.iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
@@ -1327,7 +1328,7 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
         ("thing /cup_pose arm_base_link 0.6 0 -0.3 0.05", "no joint angles were found"),
     ] {
         robot.order(order);
-        // What was sent before has come.
+        // This pause gives the earlier messages time to arrive.
         desk.pass(Duration::from_millis(300));
         let (done, said) = play();
         assert!(!done && said.contains(told), "{said}");
@@ -1338,7 +1339,7 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
 /// A joint of a description: name, type, `xyz` and `rpy` of its origin, axis.
 type UrdfJoint = (&'static str, &'static str, [f64; 3], [f64; 3], &'static str);
 
-/// An arm of nobody's make with the measures, joints and controller of a UR5e.
+/// An invented arm that has the dimensions, joints and controller of a UR5e.
 const UR5E: &[UrdfJoint] = &[
     ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
     ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
@@ -1348,7 +1349,7 @@ const UR5E: &[UrdfJoint] = &[
     ("wrist_3_joint", "revolute", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
 ];
 
-/// The description of such an arm, from `base_link` to `tool0`.
+/// Returns the URDF description of an arm with these joints, from `base_link` to `tool0`.
 fn urdf(joints: &[UrdfJoint]) -> String {
     let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
     let link = |name: &str| {
@@ -1419,7 +1420,7 @@ fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
         let files = ["--scene", scene.to_str().unwrap(), "--config", config.to_str().unwrap()];
         let (done, said) = teach(&[&["here"], &files[..]].concat());
         assert!(done, "{name}: {said}");
-        // Another pose, as somebody types it, and then back to what was taught.
+        // The arm moves to a pose that was typed by hand, and then back to the taught pose.
         let up: Vec<f64> = start.iter().map(|value| value + 0.05).collect();
         let taught = std::fs::read_to_string(&scene).unwrap();
         let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));

@@ -83,7 +83,7 @@ impl Tensor<'_> {
     }
 
     /// Returns the number of values of one example.
-    /// This number is the product of the shape's dimensions, except for open dimensions.
+    /// This number is the product of the shape's dimensions. Unknown dimensions count as 1.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }

@@ -223,7 +223,7 @@ impl Board {
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
         uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
         // The firmware writes the two model slots itself, so they are registers from the core's point of view.
-        // Neither does a program run from where a new image waits.
+        // The firmware also writes the memory of a new image itself, and no program runs from there.
         let images = uc.get_data().soc.images.clone();
         let flash = uc.get_data().soc.flash.clone();
         let images_end = if images.is_empty() { 0 } else { images.end };

@@ -14,9 +14,9 @@ pub enum Variant {
     Ble,
     /// The same as `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
-    /// The image behind the stock bootloader and its second stage, with Bluetooth linked in.
+    /// The image with Bluetooth linked in. It is stored after the stock bootloader and the second stage.
     Trouble,
-    /// The second stage of that image.
+    /// The second stage of the `trouble` image.
     Stage,
 }
 
@@ -36,7 +36,7 @@ pub fn image(variant: Variant) -> Image {
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
         Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
-        // It is built together with the image.
+        // The second stage is built together with the image.
         Variant::Stage => return Image::load(&trouble().with_file_name("nano33-trouble-stage")),
     };
     let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));

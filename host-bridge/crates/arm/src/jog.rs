@@ -14,7 +14,7 @@ use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints, Motion};
 use crate::ik::{columns, damped};
 use crate::model::SerialArm;
 
-/// Damping, in m and in rad: far below the values of an arm in a usual pose, and far above rounding errors.
+/// Damping in m and in rad. It is far below the values of an arm in a normal pose, and far above rounding errors.
 const DAMPING: f64 = 0.03;
 /// Rate at which a drifted orientation is corrected, in 1/s.
 const BACK_PER_S: f64 = 1.0;

@@ -442,7 +442,7 @@ mod tests {
             let acks = read(&wire, |m| if let BoardMessage::Ack(ack) = m { Some(ack.result) } else { None });
             recorded.extend(acks);
         }
-        // A keyboard right hand needs no samples, but a left hand always does.
+        // A right hand on the keyboard needs no samples, but a left hand always needs samples.
         assert_eq!(recorded, [AckResult::Ok, AckResult::Unsupported]);
     }
 

@@ -4,7 +4,7 @@
 //! In the released program, the waiter uses the machine's clock.
 //! With the feature `test-clock` (tests only), a test can control the time.
 //! The time then advances only when all waiters wait.
-//! Board, line and program therefore share the time at any load of the machine.
+//! Board, line and program therefore share the same time, however busy the machine is.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
