@@ -1,4 +1,5 @@
-//! Moving goals: a step goes to the current position of an object, or nothing moves and the program gives the reason.
+//! Tests goals that move: a step goes to the current position of an object.
+//! If the step is impossible, nothing moves, and the program gives the reason.
 //! The tests run in virtual time, with the simulator and with a ROS 2 robot whose replies come from the test.
 
 use host_bridge::arm::Director;

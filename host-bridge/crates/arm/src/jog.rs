@@ -115,7 +115,7 @@ pub fn acceleration(from: &Motion, speeds_rad_s: &Joints, for_s: f64, limits: &J
     if !limits.jerk_rad_s3.iter().all(|jerk| jerk.is_finite()) {
         return wanted;
     }
-    // The acceleration must be small enough to return to zero by the time the speed is reached.
+    // The acceleration must be small enough that it can return to zero before the joint reaches its target speed.
     let back: Joints = std::array::from_fn(|i| 0.7 * (2.0 * limits.jerk_rad_s3[i] * change[i].abs()).sqrt());
     let wanted = wanted.map(|a| a * share(&wanted, &back));
     let step: Joints = std::array::from_fn(|i| wanted[i] - from.acceleration_rad_s2[i]);

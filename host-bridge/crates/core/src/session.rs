@@ -88,7 +88,7 @@ impl<'b, D: Door> Session<'b, D> {
     pub fn finished(&self) -> bool {
         self.ended_ms.is_some_and(|ended_ms| {
             let passed_ms = self.now_ms - ended_ms;
-            // The robot counts as at rest only after the dead-man's 250 ms.
+            // The robot is considered at rest only after the dead-man's timeout of 250 ms.
             passed_ms >= TAIL_MS || (passed_ms > 500 && self.at_rest())
         })
     }

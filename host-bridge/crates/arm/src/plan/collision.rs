@@ -2,7 +2,7 @@
 //!
 //! Checks of the path between two configurations are exact; they are not sampled.
 //! A rotation moves no point of the arm further than the angle times the joint's lever.
-//! One distance therefore clears a long part of the path ([`Surroundings::way_is_clear`]).
+//! One computed distance can therefore show that a long part of the path is free of collisions ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 

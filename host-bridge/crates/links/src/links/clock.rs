@@ -180,7 +180,7 @@ impl Waiter {
 }
 
 /// Ends a thread's waits under a test's clock, so that the thread can be joined while time stands still.
-/// With the machine's clock, waits are short, so this function does nothing.
+/// This function does nothing for the machine's own clock, because waits are short there.
 #[derive(Clone, Debug)]
 pub struct Waker {
     #[cfg(feature = "test-clock")]
