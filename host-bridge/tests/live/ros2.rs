@@ -859,7 +859,12 @@ fn doctor_tries_and_names_what_is_wrong() {
         wrong("quality of service", &[&["--robot", "--action", "--demanding"]], "", &["transient local"]),
         wrong("namespace", &[ROBOT], "namespace = '/cell2'\n", &["but on /cmd_vel", "namespace"]),
         wrong("domain", &[], "", &["nobody else is in this domain"]),
-        wrong("clock ahead", &[&["--robot", "--action", "--clock-offset", "2"]], "", &["2.00 s ahead of"]),
+        wrong(
+            "clock ahead",
+            &[&["--robot", "--action", "--clock-offset", "2"]],
+            "",
+            &["2.00 s ahead of|1.99 s ahead of"],
+        ),
         wrong(
             "clock behind",
             &[&["--robot", "--action", "--clock-offset", "-2"]],
@@ -870,7 +875,7 @@ fn doctor_tries_and_names_what_is_wrong() {
             "late joint states",
             &[&["--robot", "--action", "--states-late", "30"]],
             "",
-            &["30.0", "behind"],
+            &["30.0|29.9", "behind"],
         ),
         wrong(
             "simulated time",
@@ -945,8 +950,10 @@ fn doctor_tries_and_names_what_is_wrong() {
                         text.lines().filter(|l| l.contains('→')).collect::<String>()
                     );
                     assert!(!well && !text.contains("all is well"), "{}: {text}", setup.what);
+                    // A measured difference may be some milliseconds short, so it has two texts.
                     for word in setup.words {
-                        assert!(text.contains(word), "{}: {word} in\n{text}", setup.what);
+                        let found = word.split('|').any(|word| text.contains(word));
+                        assert!(found, "{}: {word} in\n{text}", setup.what);
                     }
                 });
             }
