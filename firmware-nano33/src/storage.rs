@@ -9,7 +9,7 @@ use shared_board::slots::STORE_BYTES;
 #[cfg(feature = "trouble")]
 use crate::boards;
 
-/// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
+/// Start address of the two slots. All memory layouts in `src/boards` end the image at or below this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// Address of the page before the slots, which stores the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
@@ -121,6 +121,6 @@ fn mapped(start: u32, len: usize) -> &'static [u8] {
     // SAFETY: this is memory-mapped flash that the linker does not use.
     // The flash changes only through `Flash`.
     // A `ModelStore` keeps no reference while it writes, and never writes to the slot of the running model.
-    // The same holds for a `BondLog`.
+    // The same holds for a `BondLog`. An `ImageStore` keeps no reference while it writes either.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }
 }

@@ -130,6 +130,20 @@ const SCENE: &str = r#"
     ]
 "#;
 
+/// Creates the robot with this configuration, in the scene with the table.
+fn ros2_robot(mut ros2: Ros2Config) -> Director<RosRobot> {
+    let config = Config::default();
+    let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
+    let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
+    let stage = Stage::new(&config, Some(planner)).unwrap();
+    ros2.arm = ArmInterface::Action;
+    stage.tell(&mut ros2);
+    assert_eq!(ros2.watched.topics, ["/cup"]);
+    let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
+    robot.set_arm_listened_to(true);
+    stage.before(robot)
+}
+
 /// A ROS 2 robot in virtual time, and a camera that measures the cup's position every 100 ms.
 struct Site {
     door: Director<RosRobot>,
@@ -150,17 +164,8 @@ impl Site {
     }
 
     fn with(plans: impl FnOnce(Director<RosRobot>) -> Director<RosRobot>) -> Self {
-        let config = Config::default();
-        let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
-        let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
-        let stage = Stage::new(&config, Some(planner)).unwrap();
-        let mut ros2 = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
-        stage.tell(&mut ros2);
-        assert_eq!(ros2.watched.topics, ["/cup"]);
-        let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
-        robot.set_arm_listened_to(true);
         let mut site = Site {
-            door: plans(stage.before(robot)),
+            door: plans(ros2_robot(Ros2Config::default())),
             now_ms: 0,
             joints_rad: HOME,
             base: ros::Odometry::default(),
@@ -288,19 +293,7 @@ fn the_arm_goes_to_where_the_thing_is_in_either_frame() {
             let mut site = Site::new();
             if frame == "mobile_base" {
                 // The configuration gives the mobile base a frame name that differs from the name of the arm's root.
-                let config = Config::default();
-                let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
-                let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
-                let stage = Stage::new(&config, Some(planner)).unwrap();
-                let mut ros2 = Ros2Config {
-                    arm: ArmInterface::Action,
-                    base_frame: frame.to_owned(),
-                    ..Ros2Config::default()
-                };
-                stage.tell(&mut ros2);
-                let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
-                robot.set_arm_listened_to(true);
-                site.door = stage.before(robot);
+                site.door = ros2_robot(Ros2Config { base_frame: frame.to_owned(), ..Ros2Config::default() });
             }
             site.frame = frame;
             site.cup_m = Some(std::array::from_fn(|i| cup_m[i] + off_m[i]));

@@ -6,13 +6,13 @@
 use crate::FrameOut;
 use crate::models::{Aligned, MappedFlash, ModelRequest, acknowledge};
 use crate::update::{
-    IMAGE_MAX, JOURNAL, NEW_IMAGE, PAGE_BYTES, Progress, SLOT_B, Source, read_journal, word,
+    END, IMAGE_MAX, JOURNAL, NEW_IMAGE, PAGE_BYTES, Progress, SLOT_B, Source, read_journal, word,
 };
 use shared_dsp::right::network::crc32;
 use shared_proto::message::{AckResult, MODEL_CHUNK_MAX};
 
 /// Size in bytes of the flash that the store needs for slot B and the journal.
-pub const STORE_BYTES: usize = (JOURNAL + PAGE_BYTES - SLOT_B) as usize;
+pub const STORE_BYTES: usize = (END - SLOT_B) as usize;
 const JOURNAL_AT: u32 = JOURNAL - SLOT_B;
 
 /// What the caller must do after a request.

@@ -76,6 +76,7 @@ pub fn start<F: Flash>(
     let mut swap = Swap { flash, layout };
     let Some((request, progress)) = read_journal(|at| swap.word(at)) else { return Ok(()) };
     let back = word::FORTH + 2 * layout.pages;
+    let page = |i: u32| i * layout.page_bytes;
     match progress {
         Progress::Refused | Progress::Confirmed | Progress::WentBack => Ok(()),
         Progress::Waiting => {
@@ -83,14 +84,14 @@ pub fn start<F: Flash>(
             if swap.word(word::FORTH) == word::BLANK && !accepts(swap.flash, &request) {
                 return swap.mark(word::REFUSED);
             }
-            swap.exchange(word::FORTH, |i, page| {
+            swap.exchange(word::FORTH, |i| {
                 [(layout.a + page(i), layout.b + page(i)), (layout.b + page(i + 1), layout.a + page(i))]
             })?;
             swap.mark(word::TRIED)
         }
         Progress::OnTrial => {
             let last = layout.pages - 1;
-            swap.exchange(back, |i, page| {
+            swap.exchange(back, |i| {
                 let i = last - i;
                 [(layout.a + page(i), layout.b + page(i + 1)), (layout.b + page(i), layout.a + page(i))]
             })?;
@@ -115,20 +116,15 @@ impl<F: Flash> Swap<'_, F> {
 
     /// Makes all copies whose marks are missing.
     /// `copies` returns the two copies of step `i`, each as a source and a destination.
-    fn exchange(
-        &mut self,
-        marks: u32,
-        copies: impl Fn(u32, &dyn Fn(u32) -> u32) -> [(u32, u32); 2],
-    ) -> Result<(), F::Error> {
+    fn exchange(&mut self, marks: u32, copies: impl Fn(u32) -> [(u32, u32); 2]) -> Result<(), F::Error> {
         let total = 2 * self.layout.pages;
         let done = (0..total).find(|mark| self.word(marks + mark) == word::BLANK).unwrap_or(total);
         if done > 0 {
             // An interrupted write can leave a mark that reads differently later, so the last mark is written again.
             self.mark(marks + done - 1)?;
         }
-        let page_bytes = self.layout.page_bytes;
         for mark in done..total {
-            let (from, to) = copies(mark / 2, &|page| page * page_bytes)[mark as usize % 2];
+            let (from, to) = copies(mark / 2)[mark as usize % 2];
             self.flash.copy_page(from, to)?;
             self.mark(marks + mark)?;
         }

@@ -30,6 +30,12 @@ pub const JOURNAL: u32 = SLOT_B + IMAGE_MAX + PAGE_BYTES;
 /// Offset of the first byte after all these areas.
 pub const END: u32 = JOURNAL + PAGE_BYTES;
 
+/// Size of the public key in bytes. The key is the last part of the second stage.
+pub const KEY_BYTES: usize = 32;
+/// Offset of the public key from the base.
+/// If the flash is blank there, the board accepts no updates over Bluetooth.
+pub const KEY_AT: u32 = STAGE_BYTES - KEY_BYTES as u32;
+
 /// Size of a signature in bytes. The signature is the last part of an image file.
 pub const SIGNATURE_BYTES: usize = 64;
 /// Number of bytes in an image file after the linked image.

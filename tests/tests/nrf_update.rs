@@ -90,7 +90,8 @@ impl Desk {
 
     fn start(before: Option<Before<'_>>, key: Option<[u8; 32]>) -> Self {
         let mut linked = image(Variant::Trouble);
-        let (old, new) = (file(&linked, OLD), file(&linked, NEW));
+        let (old, new) = files();
+        let is_first_start = before.is_none();
         if let Some(Before { a, b, journal }) = before {
             let words = journal.iter().flat_map(|word| word.to_le_bytes()).collect();
             linked.pieces = vec![
@@ -100,22 +101,23 @@ impl Desk {
             ];
         }
         let whole = linked.behind(image(Variant::Stage), key);
-        let mut rig = RightRig::air_of(whole, Kind::Nano33, Box::new(Still));
-        // At the very first start, the image sets up the reset pin.
-        if journal_is_blank(&mut rig) {
-            rig.run_ms(700);
-        }
+        let rig = RightRig::air_of(whole, Kind::Nano33, Box::new(Still));
         let (usb, decoder) = (UsbHost::default(), Decoder::new());
-        Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new }
+        let mut desk = Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new };
+        if is_first_start {
+            // At the very first start, the image sets up the reset pin.
+            desk.rig.run_ms(700);
+        } else {
+            desk.set_up_pin();
+        }
+        desk
     }
 
-    /// Starts a board with the new image in slot B and a request to install it. The reset pin is already set up.
+    /// Starts a board with the new image in slot B and a request to install it.
     fn waiting(new: &[u8], source: u32, key: Option<[u8; 32]>) -> Self {
         let (old, _) = files();
         let before = Before { a: &old, b: (NEW_IMAGE, new), journal: request(new, source) };
-        let mut desk = Self::start(Some(before), key);
-        desk.set_up_pin();
-        desk
+        Self::start(Some(before), key)
     }
 
     /// Sets up the chip's UICR as an earlier start would have done, so the image does not restart for this.
@@ -167,9 +169,7 @@ impl Desk {
         while *upload.stage() != Stage::Done {
             let now_ms = self.rig.board.now() / ms(1);
             if let Some(message) = upload.poll(now_ms) {
-                let mut buffer = [0; 512];
-                let frame = encode_host(&message, &mut buffer).expect("fits").to_vec();
-                self.usb.write(&mut self.rig.board, &frame);
+                self.write(&message);
             }
             self.step();
             for ack in std::mem::take(&mut self.acks) {
@@ -256,11 +256,6 @@ impl Desk {
         }
         panic!("no hello");
     }
-}
-
-fn journal_is_blank(rig: &mut RightRig) -> bool {
-    let at = (BASE + JOURNAL) as usize;
-    rig.board.soc().flash[at..at + 4] == [0xFF; 4]
 }
 
 #[test]
@@ -399,7 +394,6 @@ fn of_20_power_cuts_while_images_are_exchanged_none_leaves_the_board_without_one
             (Before { a: &new, b: (0, &old), journal: marks.clone() }, OLD)
         };
         let mut desk = Desk::start(Some(before), None);
-        desk.set_up_pin();
         // An exchange writes about 130,000 words and pages in total.
         let operation = random.u64(1..120_000);
         desk.rig.board.soc().nvmc.fails_after = Some(operation);

@@ -35,8 +35,8 @@ const VARIANTS: [(&str, &[&str], &str); 5] = [
     ),
 ];
 
-/// Address at which a XIAO's image starts, behind S140.
-const XIAO_ORIGIN: u32 = 0x27000;
+/// Address at which a XIAO's file for flashing starts, behind S140.
+pub const XIAO_ORIGIN: u32 = 0x27000;
 
 /// Parts of the image, each with words that occur in its symbols' names. The first part that matches counts.
 const PARTS: [(&str, &[&str]); 6] = [
@@ -109,18 +109,15 @@ pub fn run(args: &[&str]) -> Result<()> {
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
-        let mut origin = XIAO_ORIGIN;
-        let raw = if name.contains("trouble") {
+        if name.contains("trouble") {
             let stage = second_stage::build(&image, is_xiao(name))?;
             let files = second_stage::make_files(&image, &stage, is_xiao(name), key)?;
             println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
-            origin = second_stage::base(is_xiao(name));
-            Some(files[0].clone())
-        } else {
-            None
-        };
+        } else if is_xiao(name) {
+            objcopy(&image, "binary", &image.with_extension("bin"))?;
+        }
         if is_xiao(name) {
-            println!("  {}", make_uf2(&image, raw, origin)?.display());
+            println!("  {}", make_uf2(&image)?.display());
         }
         report(&image)?;
     }
@@ -197,18 +194,20 @@ pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
 }
 
-/// Converts the image to the format of the XIAO's bootloader, and writes the result to the same folder.
-fn make_uf2(image: &Path, raw: Option<PathBuf>, origin: u32) -> Result<PathBuf> {
+/// Converts an image to another format.
+///
+/// # Errors
+/// Fails if the image does not exist.
+pub fn objcopy(image: &Path, format: &str, file: &Path) -> Result<()> {
+    sh(Command::new(tool("objcopy")).args(["-O", format]).arg(image).arg(file))
+}
+
+/// Converts the image's `.bin` file to the format of the XIAO's bootloader.
+/// Writes the result to the same folder.
+fn make_uf2(image: &Path) -> Result<PathBuf> {
     let file = image.with_extension("uf2");
-    let raw = match raw {
-        Some(raw) => raw,
-        None => {
-            let raw = image.with_extension("bin");
-            sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
-            raw
-        }
-    };
-    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, origin, uf2::NRF52840))?;
+    let raw = std::fs::read(image.with_extension("bin"))?;
+    std::fs::write(&file, uf2::encode(&raw, XIAO_ORIGIN, uf2::NRF52840))?;
     Ok(file)
 }
 

@@ -3,25 +3,17 @@
 //! one for flashing, which includes the second stage, and one for `host-bridge update`.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
-use shared_board::update::{IMAGE_MAX, SLOT_A, STAGE_BYTES, TAIL_BYTES, Trailer};
+use shared_board::update::{IMAGE_MAX, KEY_AT, KEY_BYTES, SLOT_A, TAIL_BYTES, Trailer};
 use shared_proto::message::Board;
 
 use crate::steps::sh;
 use crate::toolchain::{Target, cargo};
 use crate::{firmware_nano33, root, target_dir};
 
-/// Start address of the second stage on a Nano 33. The next constant is the address on a XIAO.
-const NANO33: u32 = 0x1_0000;
-const XIAO: u32 = 0x2_7000;
-const KEY_BYTES: usize = 32;
-
-/// Returns the start address of the file for flashing.
-pub fn base(is_xiao: bool) -> u32 {
-    if is_xiao { XIAO } else { NANO33 }
-}
+/// Start address of the second stage on a Nano 33.
+const NANO33_ORIGIN: u32 = 0x1_0000;
 
 /// Builds the second stage of an image, and returns its path, which is in the same folder as the image.
 ///
@@ -49,7 +41,7 @@ pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
 pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>) -> Result<[PathBuf; 2]> {
     let raw = |elf: &Path| -> Result<Vec<u8>> {
         let file = elf.with_extension("raw");
-        sh(Command::new(firmware_nano33::tool("objcopy")).args(["-O", "binary"]).arg(elf).arg(&file))?;
+        firmware_nano33::objcopy(elf, "binary", &file)?;
         Ok(std::fs::read(&file)?)
     };
     let (stage, linked) = (raw(stage)?, raw(image)?);
@@ -60,11 +52,15 @@ pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>)
         image.display(),
         linked.len()
     );
-    let board = if is_xiao { Board::RightXiao } else { Board::RightNano33 };
+    let (board, base) = if is_xiao {
+        (Board::RightXiao, firmware_nano33::XIAO_ORIGIN)
+    } else {
+        (Board::RightNano33, NANO33_ORIGIN)
+    };
     let text = version()?;
     let mut version = [0; 16];
     version.get_mut(..text.len()).context("the version is too long")?.copy_from_slice(text.as_bytes());
-    let trailer = Trailer { origin: base(is_xiao) + SLOT_A, board: board.into(), version };
+    let trailer = Trailer { origin: base + SLOT_A, board: board.into(), version };
     let files = [image.with_extension("bin"), image.with_extension("update")];
     std::fs::write(&files[0], whole(stage, &linked, key)?)?;
     std::fs::write(&files[1], trailer.file(&linked))?;
@@ -73,7 +69,7 @@ pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>)
 
 /// Returns the second stage, with the key at its end, followed by the image.
 fn whole(mut stage: Vec<u8>, linked: &[u8], key: Option<[u8; KEY_BYTES]>) -> Result<Vec<u8>> {
-    let room = STAGE_BYTES as usize - KEY_BYTES;
+    let room = KEY_AT as usize;
     ensure!(stage.len() <= room, "the second stage has {} bytes, and room for {room}", stage.len());
     stage.resize(room, 0xFF);
     stage.extend(key.unwrap_or([0xFF; KEY_BYTES]));

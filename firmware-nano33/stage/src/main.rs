@@ -11,13 +11,9 @@ use cortex_m::peripheral::SCB;
 use ed25519_compact::{PublicKey, Signature};
 use shared_board::swap::{self, Flash, Layout};
 use shared_board::update::{
-    END, NEW_IMAGE, PAGE_BYTES, Request, SIGNATURE_BYTES, SLOT_A, SLOT_B, STAGE_BYTES, Source, Trailer,
+    END, KEY_AT, KEY_BYTES, NEW_IMAGE, PAGE_BYTES, Request, SIGNATURE_BYTES, SLOT_A, SLOT_B, Source, Trailer,
 };
 use shared_dsp::right::network::crc32;
-
-/// Offset of the public key. If the flash is blank there, the board accepts no updates over Bluetooth.
-const KEY_AT: u32 = STAGE_BYTES - KEY_BYTES as u32;
-const KEY_BYTES: usize = 32;
 
 unsafe extern "C" {
     #[link_name = "_base"]
@@ -29,9 +25,9 @@ fn base() -> u32 {
     (&raw const BASE) as u32
 }
 
-/// Returns `len` bytes of flash at an offset from the base.
+/// Returns `len` bytes of flash at an offset from the base, or no bytes if they do not end before [`END`].
 fn stored(at: u32, len: usize) -> &'static [u8] {
-    let (at, len) = if at + len as u32 <= END { (at, len) } else { (0, 0) };
+    let len = if len <= (END - at) as usize { len } else { 0 };
     // SAFETY: this is memory-mapped flash that the linker does not use. No reference exists while `Nvmc` writes.
     unsafe { core::slice::from_raw_parts((base() + at) as *const u8, len) }
 }

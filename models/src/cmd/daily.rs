@@ -7,8 +7,9 @@ use clap::{Args, Subcommand};
 use models::daily::{Daily, vectors};
 use models::dataset::{Dataset, Item};
 use models::evaluate::events::{AnnotatedRecording, Heard, Tally, decide, listen};
+use models::evaluate::people::Trial;
 use models::streams::RandomStream;
-use models::train::{Aligned, Job, Trained, adapt, examples_of, train};
+use models::train::{Aligned, Trained, adapt, examples_of, train};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use shared_dsp::right::movement::MovementConfig;
@@ -211,14 +212,7 @@ impl Events {
         let judges: Vec<String> = people.iter().skip(half).step_by(2).cloned().collect();
         let taught = if self.untaught { Daily::None } else { Daily::Without(judges.clone()) };
         let recipe = Aligned { daily: taught.clone(), ..recipe.clone() };
-        let job = Job {
-            name: "trial".to_owned(),
-            about: String::new(),
-            seed,
-            excluded: Vec::new(),
-            progress: false,
-        };
-        let model = train(learned, &[], &recipe, &job)?;
+        let model = train(learned, &[], &recipe, &Trial::job(seed))?;
         let axes = model.card.axes_needed();
         let settings = self.settings(axes);
         let judge = |model: &Trained| -> anyhow::Result<Vec<Tally>> {

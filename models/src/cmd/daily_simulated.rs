@@ -7,9 +7,10 @@ use clap::Args;
 use models::daily::Daily;
 use models::dataset::{Dataset, Item};
 use models::evaluate::events::{AnnotatedRecording, play};
+use models::evaluate::people::Trial;
 use models::evaluate::spectrum::{BANDS_HZ, Strength, strengths};
 use models::synth::IdleKind;
-use models::train::{Aligned, Job, train};
+use models::train::{Aligned, train};
 use rayon::prelude::*;
 use shared_dsp::right::network::Model;
 
@@ -74,16 +75,7 @@ impl Cmd {
         let recipe = Aligned { daily: Daily::None, ..self.short.aligned() };
         let blobs = (1..=self.seeds)
             .into_par_iter()
-            .map(|seed| {
-                let job = Job {
-                    name: "trial".to_owned(),
-                    about: String::new(),
-                    seed,
-                    excluded: Vec::new(),
-                    progress: false,
-                };
-                Ok(train(&learned, &[], &recipe, &job)?.blob()?)
-            })
+            .map(|seed| Ok(train(&learned, &[], &recipe, &Trial::job(seed))?.blob()?))
             .collect::<anyhow::Result<Vec<Vec<u8>>>>()?;
         let bands: Vec<String> =
             BANDS_HZ.windows(2).map(|pair| format!("{}-{} Hz", pair[0], pair[1])).collect();

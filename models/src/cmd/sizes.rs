@@ -78,11 +78,12 @@ impl Cmd {
             let usual = self.short.aligned();
             let merged = self.members.iter().map(|&members| {
                 let recipe = Aligned { steps: Steps { members, ..usual.steps }, ..usual.clone() };
-                (String::new(), recipe)
+                ("", recipe)
             });
-            let students = self.students.iter().map(|student| {
-                (" student".to_owned(), Aligned { student: Some(student.0), ..usual.clone() })
-            });
+            let students = self
+                .students
+                .iter()
+                .map(|student| (" student", Aligned { student: Some(student.0), ..usual.clone() }));
             for (kind, recipe) in merged.chain(students) {
                 let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
                 let one = |(person, seed): (&String, u64)| -> anyhow::Result<_> {
@@ -104,7 +105,7 @@ impl Cmd {
                 let mut all = Tally::default();
                 runs.iter().for_each(|run| all.add(&run.1));
                 let Some((_, _, size, zeros)) = runs.last() else { continue };
-                let (name, bytes, products) = (size.shape() + &kind, size.blob_bytes, size.products());
+                let (name, bytes, products) = (size.shape() + kind, size.blob_bytes, size.products());
                 println!(
                     "{name:<22} {bytes:>8} {zeros:>8} {products:>10} {:>12.2} {:>9.2} {:>9.2} {:>7}",
                     each.iter().sum::<f64>() / each.len().max(1) as f64,

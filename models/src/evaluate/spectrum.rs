@@ -39,15 +39,15 @@ fn band_powers(samples: &[f64]) -> [f64; BANDS_HZ.len() - 1] {
     let count = samples.len() as f64;
     let mean = samples.iter().sum::<f64>() / count;
     let hann = |n: usize| 0.5 - 0.5 * (TAU * (n as f64 + 0.5) / count).cos();
+    let windowed: Vec<f64> = samples.iter().enumerate().map(|(n, value)| (value - mean) * hann(n)).collect();
     let mut bands = [0.0; BANDS_HZ.len() - 1];
     for (band, limits) in bands.iter_mut().zip(BANDS_HZ.windows(2)) {
         let first = (limits[0] * count / RATE_HZ).ceil() as usize;
         let end = (limits[1] * count / RATE_HZ).ceil() as usize;
         for bin in first.max(1)..end {
             let (mut real, mut imaginary) = (0.0, 0.0);
-            for (n, value) in samples.iter().enumerate() {
+            for (n, value) in windowed.iter().enumerate() {
                 let (sine, cosine) = (TAU * bin as f64 * n as f64 / count).sin_cos();
-                let value = (value - mean) * hann(n);
                 real += value * cosine;
                 imaginary += value * sine;
             }

@@ -5,28 +5,12 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::path::{IdleKind, Kind, Smooth, moves};
+use super::path::{Kind, Smooth};
 use super::pose::BodyPose;
 use super::wearer::normal;
 
 /// Start and duration in seconds, and the displacement.
 pub(super) type Move = (f64, f64, BodyPose);
-
-/// Returns the movement, or `None` if the kind is not an everyday one.
-pub(super) fn everyday(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Option<Kind> {
-    Some(match kind {
-        IdleKind::Stroll => Kind::Stroll(Stroll::new(rng)),
-        IdleKind::SitAndStand => Kind::Moves(sit_and_stand(rng, seconds)),
-        IdleKind::Cup => Kind::Moves(cup(rng, seconds)),
-        IdleKind::Type => keys(rng),
-        IdleKind::Talk => {
-            let (reach_m, turn_rad) = (rng.random_range(0.03..0.15), rng.random_range(0.15..0.6));
-            moves(rng, seconds, reach_m, turn_rad, 0.3..0.8, 0.0..1.4)
-        }
-        IdleKind::Lift => Kind::Lift(Lift::new(rng, seconds)),
-        _ => return None,
-    })
-}
 
 /// Walking with arms that swing.
 pub(super) struct Stroll {
@@ -39,7 +23,7 @@ pub(super) struct Stroll {
 }
 
 impl Stroll {
-    fn new(rng: &mut ChaCha8Rng) -> Self {
+    pub(super) fn new(rng: &mut ChaCha8Rng) -> Self {
         Self {
             step_hz: rng.random_range(1.5..2.1),
             phase: rng.random_range(0.0..std::f64::consts::TAU),
@@ -71,7 +55,7 @@ pub(super) struct Lift {
 }
 
 impl Lift {
-    fn new(rng: &mut ChaCha8Rng, seconds: f64) -> Self {
+    pub(super) fn new(rng: &mut ChaCha8Rng, seconds: f64) -> Self {
         let ramp_s = rng.random_range(1.3..2.5f64).min(seconds / 3.0);
         let start_s = rng.random_range(0.0..1.0f64).min(seconds / 4.0);
         let sense = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
@@ -92,7 +76,7 @@ impl Lift {
 }
 
 /// Stands up and sits down again, several times if the time suffices.
-fn sit_and_stand(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
+pub(super) fn sit_and_stand(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
     let rise_m = rng.random_range(0.3..0.5);
     let lean_m = rng.random_range(0.15..0.35);
     // Between the thigh or the armrest and the side of the body.
@@ -131,7 +115,7 @@ fn sit_and_stand(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
 }
 
 /// Reaches for a cup, drinks, puts it back and returns, if the time suffices.
-fn cup(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
+pub(super) fn cup(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
     let mut list = Vec::new();
     let mut t = rng.random_range(0.2..1.0);
     loop {
@@ -166,7 +150,7 @@ fn cup(rng: &mut ChaCha8Rng, seconds: f64) -> Vec<Move> {
 }
 
 /// Types: the hand taps in bursts.
-fn keys(rng: &mut ChaCha8Rng) -> Kind {
+pub(super) fn keys(rng: &mut ChaCha8Rng) -> Kind {
     let hz = rng.random_range(3.0..6.5);
     let angular = std::f64::consts::TAU * hz;
     let reach_m = rng.random_range(-1.5f64..0.3).exp() / (angular * angular);
@@ -185,7 +169,7 @@ fn keys(rng: &mut ChaCha8Rng) -> Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synth::{Motion, Segment, Wearer, session};
+    use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 
     /// For each wearer, the largest deviation of the acceleration's magnitude from gravity, and the largest turn rate.
     fn felt(kind: IdleKind, seconds: f64) -> Vec<(f64, f64)> {

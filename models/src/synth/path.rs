@@ -11,7 +11,7 @@ use std::ops::Range;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::everyday::{Lift, Move, Stroll, everyday};
+use super::everyday::{Lift, Move, Stroll, cup, keys, sit_and_stand};
 use super::pose::{BodyPose, rotation};
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
@@ -293,11 +293,7 @@ impl Player {
             Kind::Moves(moves) => {
                 for (start_s, length_s, by) in moves {
                     let part = minimum_jerk((t - start_s) / length_s);
-                    for axis in 0..3 {
-                        pose.position_m[axis] += part * by.position_m[axis];
-                        pose.posture_rad[axis] += part * by.posture_rad[axis];
-                        pose.carried_m[axis] += part * by.carried_m[axis];
-                    }
+                    *pose = pose.plus(by.times(part));
                 }
             }
             Kind::Walk { step_hz, phase, bob_m, sway_m, nod_rad, wander } => {
@@ -324,18 +320,17 @@ impl Player {
 }
 
 fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
-    if let Some(everyday) = everyday(rng, kind, seconds) {
-        return everyday;
-    }
     match kind {
-        // The others are everyday movement, see above.
-        IdleKind::Still
-        | IdleKind::Stroll
-        | IdleKind::SitAndStand
-        | IdleKind::Cup
-        | IdleKind::Type
-        | IdleKind::Talk
-        | IdleKind::Lift => Kind::Rest,
+        IdleKind::Still => Kind::Rest,
+        IdleKind::Stroll => Kind::Stroll(Stroll::new(rng)),
+        IdleKind::SitAndStand => Kind::Moves(sit_and_stand(rng, seconds)),
+        IdleKind::Cup => Kind::Moves(cup(rng, seconds)),
+        IdleKind::Type => keys(rng),
+        IdleKind::Talk => {
+            let (reach_m, turn_rad) = (rng.random_range(0.03..0.15), rng.random_range(0.15..0.6));
+            moves(rng, seconds, reach_m, turn_rad, 0.3..0.8, 0.0..1.4)
+        }
+        IdleKind::Lift => Kind::Lift(Lift::new(rng, seconds)),
         IdleKind::Fidget => {
             let size_m = rng.random_range(0.004..0.02);
             let turn_rad = rng.random_range(0.03..0.25);
@@ -382,7 +377,7 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
 }
 
 /// Moves to positions near the resting point, and pauses between them.
-pub(super) fn moves(
+fn moves(
     rng: &mut ChaCha8Rng,
     seconds: f64,
     reach_m: f64,

@@ -28,23 +28,23 @@ pub enum Variant {
 /// # Panics
 /// Panics if the image does not build. The terminal shows the reason.
 pub fn image(variant: Variant) -> Image {
-    static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
-    static BLE: OnceLock<PathBuf> = OnceLock::new();
-    static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
-    let (cell, given) = match variant {
-        Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
-        Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
-        Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
-        Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
-        // The second stage is built together with the image.
-        Variant::Stage => return Image::load(&trouble().with_file_name("nano33-trouble-stage")),
-    };
-    let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
-    Image::load(path)
+    Image::load(&path(variant))
 }
 
-fn trouble() -> PathBuf {
-    std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").map_or_else(|| build(Variant::Trouble), PathBuf::from)
+fn path(variant: Variant) -> PathBuf {
+    static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
+    static BLE: OnceLock<PathBuf> = OnceLock::new();
+    static XIAO: OnceLock<PathBuf> = OnceLock::new();
+    static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
+    let (cell, given, name) = match variant {
+        Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF", "bootloader"),
+        Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF", "ble"),
+        Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF", "xiao"),
+        Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF", "trouble"),
+        // The second stage is built together with the image.
+        Variant::Stage => return path(Variant::Trouble).with_file_name("nano33-trouble-stage"),
+    };
+    cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(name), PathBuf::from)).clone()
 }
 
 /// Returns the XIAO's image in the format of its bootloader.
@@ -52,23 +52,13 @@ fn trouble() -> PathBuf {
 /// # Panics
 /// Panics if the file does not exist.
 pub fn uf2() -> Vec<u8> {
-    image(Variant::Xiao);
-    let elf = XIAO.get().expect("asked for above");
-    let file = elf.with_extension("uf2");
+    let file = path(Variant::Xiao).with_extension("uf2");
     std::fs::read(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))
 }
 
-static XIAO: OnceLock<PathBuf> = OnceLock::new();
-
-fn build(variant: Variant) -> PathBuf {
+fn build(name: &str) -> PathBuf {
     // All variants use the same file name during the build, so they are built one after another.
     static ONE: Mutex<()> = Mutex::new(());
     let _one = ONE.lock();
-    let name = match variant {
-        Variant::Bootloader => "bootloader",
-        Variant::Ble => "ble",
-        Variant::Xiao => "xiao",
-        Variant::Trouble | Variant::Stage => "trouble",
-    };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

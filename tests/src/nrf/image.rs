@@ -72,11 +72,11 @@ impl Image {
     /// # Panics
     /// Panics if the image is not linked for the address after the second stage.
     #[must_use]
-    pub fn behind(mut self, stage: Self, key: Option<[u8; 32]>) -> Self {
+    pub fn behind(mut self, stage: Self, key: Option<[u8; update::KEY_BYTES]>) -> Self {
         let base = stage.vector_table;
         assert_eq!(self.vector_table, base + update::SLOT_A, "the image is linked for slot A");
         self.pieces.extend(stage.pieces);
-        self.pieces.extend(key.map(|key| (base + update::STAGE_BYTES - 32, key.to_vec())));
+        self.pieces.extend(key.map(|key| (base + update::KEY_AT, key.to_vec())));
         (self.vector_table, self.second_stage) = (base, Some(base));
         self
     }

@@ -55,9 +55,7 @@ pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
     let named = child(root, "scene").and_then(|scene| child(scene, "instance_visual_scene"));
     let scene = match named.and_then(|instance| instance.attribute("url")) {
         Some(url) => find(url, "scene")?,
-        None => {
-            root.descendants().find(|node| node.has_tag_name_of("visual_scene")).ok_or("it has no scene")?
-        }
+        None => root.descendants().find(|node| node.has_tag_name("visual_scene")).ok_or("it has no scene")?,
     };
     let mut points = Vec::new();
     let mut instances = 0;
@@ -93,19 +91,8 @@ pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
     Ok(points)
 }
 
-/// Compares element names without their XML namespaces.
-trait Named {
-    fn has_tag_name_of(&self, name: &str) -> bool;
-}
-
-impl Named for Node<'_, '_> {
-    fn has_tag_name_of(&self, name: &str) -> bool {
-        self.is_element() && self.tag_name().name() == name
-    }
-}
-
 fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
-    node.children().find(|child| child.has_tag_name_of(name))
+    node.children().find(|child| child.has_tag_name(name))
 }
 
 fn numbers(node: Node<'_, '_>) -> Result<Vec<f64>, String> {
@@ -144,7 +131,7 @@ fn positions<'a, 'input>(
     let vertices = child(geometry, "mesh").and_then(|mesh| child(mesh, "vertices"));
     let inputs = vertices.into_iter().flat_map(|vertices| vertices.children());
     let position = inputs
-        .filter(|input| input.has_tag_name_of("input"))
+        .filter(|input| input.has_tag_name("input"))
         .find(|input| input.attribute("semantic") == Some("POSITION"));
     let url = position.and_then(|input| input.attribute("source")).ok_or("a geometry of it is no mesh")?;
     let source = find(url, "source")?;

@@ -40,9 +40,11 @@ impl Frame {
                 None => Ok(Frame::Object(name.to_owned())),
             };
         };
+        // The rules of ROS 2, which the node applies to all names.
         let is_word = |word: &str| {
             word.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
                 && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+                && !word.contains("__")
         };
         if !own.split('/').all(is_word) {
             return Err(format!("frame = \"{name}\" is no topic; topics are like \"/cup_pose\""));
@@ -59,6 +61,16 @@ impl Frame {
     }
 }
 
+impl Step {
+    /// Returns the frame of this step, if it has one.
+    pub(crate) fn frame(&self) -> Option<&Frame> {
+        match self {
+            Step::Tool { frame, .. } => frame.as_ref(),
+            _ => None,
+        }
+    }
+}
+
 impl Motions {
     /// Checks that every object to which a step refers is in this list.
     ///
@@ -67,7 +79,7 @@ impl Motions {
     pub fn check_objects(&self, objects: &[&str]) -> Result<(), MotionError> {
         for motion in self.all() {
             for (i, step) in motion.steps.iter().enumerate() {
-                if let Step::Tool { frame: Some(Frame::Object(name)), .. } = step
+                if let Some(Frame::Object(name)) = step.frame()
                     && !objects.contains(&name.as_str())
                 {
                     let known = if objects.is_empty() { "none".to_owned() } else { objects.join(", ") };
@@ -86,8 +98,8 @@ impl Motions {
     pub fn topics(&self) -> Vec<String> {
         let steps = self.all().iter().flat_map(|motion| &motion.steps);
         let mut topics: Vec<String> = steps
-            .filter_map(|step| match step {
-                Step::Tool { frame: Some(Frame::Topic { name, .. }), .. } => Some(name.clone()),
+            .filter_map(|step| match step.frame() {
+                Some(Frame::Topic { name, .. }) => Some(name.clone()),
                 _ => None,
             })
             .collect();

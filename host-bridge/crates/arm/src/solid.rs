@@ -74,12 +74,8 @@ impl Solid {
         Solid { points_m: self.points_m.iter().map(|point| frame.at(*point)).collect(), ..*self }
     }
 
-    /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
-    pub fn apart_m(&self, other: &Solid) -> f64 {
-        self.apart_at_m(&Pose::IDENTITY, other, &Pose::IDENTITY, f64::INFINITY)
-    }
-
-    /// Like [`Self::apart_m`], but each body has its own frame.
+    /// Returns a lower bound of the distance between two bodies in their frames.
+    /// A result of 0 or less proves nothing.
     /// The search ends early when it has proven a distance of `enough_m`.
     pub fn apart_at_m(&self, here: &Pose, other: &Solid, there: &Pose, enough_m: f64) -> f64 {
         let radii_m = self.radius_m + other.radius_m;
@@ -192,6 +188,13 @@ fn lowest(points: &[Point], direction: DVec3) -> Point {
 mod tests {
     use super::*;
     use host_robot::{DMat3, Random};
+
+    impl Solid {
+        /// Returns the proven distance between two bodies in the same frame.
+        fn apart_m(&self, other: &Solid) -> f64 {
+            self.apart_at_m(&Pose::IDENTITY, other, &Pose::IDENTITY, f64::INFINITY)
+        }
+    }
 
     #[test]
     fn what_is_proven_of_capsules_is_their_distance_and_never_more() {

@@ -61,12 +61,12 @@ impl Aligned {
     /// Limits the number of steps and the number of simulated wearers. `None` changes nothing.
     pub fn with_steps(&self, count: Option<usize>) -> Self {
         let Some(count) = count else { return self.clone() };
-        let Self { mut steps, copies, bystanders, performers, .. } = *self;
+        let Self { mut steps, bystanders, performers, .. } = *self;
         let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
         let (bystanders, performers) = (fewer(bystanders), fewer(performers));
         (steps.count, steps.most) = (count, count);
         steps.rounded = steps.rounded.min(count);
-        Self { steps, copies, bystanders, performers, daily: self.daily.clone(), student: self.student }
+        Self { steps, bystanders, performers, ..self.clone() }
     }
 }
 

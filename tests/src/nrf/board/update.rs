@@ -20,10 +20,10 @@ impl Board {
     /// The core has already written to the slot's memory directly.
     /// When the controller leaves write mode, these words are transferred to flash one after another.
     pub(super) fn before_flash(uc: &mut Unicorn<'_, World>, address: u32, value: u32) {
-        let Some(slot) = slot_a(uc.get_data()) else { return };
         if address != CONFIG || value & 3 == 1 || !uc.get_data().soc.nvmc.may_write() {
             return;
         }
+        let Some(slot) = slot_a(uc.get_data()) else { return };
         let written = uc.mem_read_as_vec(slot.start as u64, slot.len()).expect("flash");
         let soc = &mut uc.get_data_mut().soc;
         for (i, word) in written.chunks_exact(4).enumerate() {

@@ -58,7 +58,7 @@ impl<R: Robot> Director<R> {
     /// Looks up the object of each step.
     pub(super) fn anchors(&self, steps: &[Step]) -> Result<Vec<Option<Anchor>>, String> {
         let anchor = |(i, step): (usize, &Step)| {
-            let Step::Tool { frame: Some(frame), .. } = step else { return Ok(None) };
+            let Some(frame) = step.frame() else { return Ok(None) };
             let found = match frame {
                 Frame::Object(name) => {
                     let objects = self.site.shop().objects;
@@ -76,8 +76,8 @@ impl<R: Robot> Director<R> {
     /// Returns whether every topic that this motion needs has a pose. The age of the pose does not matter.
     pub fn has_seen(&self, motion: &MotionName) -> bool {
         let steps = self.motions.get(motion.as_str()).map(|motion| motion.steps).unwrap_or_default();
-        steps.iter().all(|step| match step {
-            Step::Tool { frame: Some(Frame::Topic { name, .. }), .. } => self.robot.sighting(name).is_ok(),
+        steps.iter().all(|step| match step.frame() {
+            Some(Frame::Topic { name, .. }) => self.robot.sighting(name).is_ok(),
             _ => true,
         })
     }
@@ -116,10 +116,8 @@ impl<R: Robot> Director<R> {
         }
         let age_max_ms = if begins { seen.age_max_ms } else { u64::MAX };
         let now = self.look(&seen.topic, age_max_ms)?.on_base;
-        let off_m = (now.position_m - seen.on_base.position_m).length();
-        let turn = (now.rotation.transpose() * seen.on_base.rotation).to_cols_array_2d();
-        let cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
-        let turned_rad = cosine.clamp(-1.0, 1.0).acos();
+        let off_m = now.position_m.distance(seen.on_base.position_m);
+        let turned_rad = now.quaternion().angle_between(seen.on_base.quaternion());
         if off_m <= MOVED_M && turned_rad <= TURNED_RAD {
             return Ok(());
         }
