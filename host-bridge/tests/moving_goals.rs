@@ -144,6 +144,33 @@ fn ros2_robot(mut ros2: Ros2Config) -> Director<RosRobot> {
     stage.before(robot)
 }
 
+/// `teach --play` waits until the director has seen everything, because a graph brings the topics in any order.
+#[test]
+fn a_motion_in_a_scene_has_not_been_seen_before_the_robots_odometry_and_the_objects_pose_have_come() {
+    let (lower, start_s) = (MotionName::from("lower"), START_S);
+    let mut door = ros2_robot(Ros2Config::default());
+    door.robot_mut().at(10);
+    door.robot_mut().set_clock(start_s);
+    let name = JOINT_NAMES.map(str::to_owned).to_vec();
+    door.robot_mut().see(&JointState { name, position: HOME[..COUNT].to_vec(), ..JointState::default() });
+    let stamp = Time::at_ns((start_s * 1e9) as u64);
+    let header = ros::Header { stamp, frame_id: "arm_base_link".to_owned() };
+    let mut pose = ros::PoseStamped { header, ..ros::PoseStamped::default() };
+    (pose.pose.position.x, pose.pose.orientation.w) = (0.55, 1.0);
+    door.robot_mut().see_thing("/cup", &pose);
+    assert!(!door.has_seen(&lower), "the object alone is not enough");
+    let mut base = ros::Odometry::default();
+    base.pose.pose.orientation.w = 1.0;
+    door.robot_mut().see_base(&base);
+    assert!(door.has_seen(&lower));
+
+    let mut door = ros2_robot(Ros2Config::default());
+    door.robot_mut().at(10);
+    door.robot_mut().set_clock(start_s);
+    door.robot_mut().see_base(&base);
+    assert!(!door.has_seen(&lower), "the base alone is not enough");
+}
+
 /// A ROS 2 robot in virtual time, and a camera that measures the cup's position every 100 ms.
 struct Site {
     door: Director<RosRobot>,

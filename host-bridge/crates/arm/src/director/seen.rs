@@ -73,8 +73,12 @@ impl<R: Robot> Director<R> {
         steps.iter().enumerate().map(anchor).collect()
     }
 
-    /// Returns whether every topic that this motion needs has a pose. The age of the pose does not matter.
+    /// Returns whether all poses that this motion needs have arrived: the pose of the base in a scene, and a pose on every topic.
+    /// The age of a topic's pose does not matter.
     pub fn has_seen(&self, motion: &MotionName) -> bool {
+        if self.site.planner().is_some() && self.known_base().is_err() {
+            return false;
+        }
         let steps = self.motions.get(motion.as_str()).map(|motion| motion.steps).unwrap_or_default();
         steps.iter().all(|step| match step.frame() {
             Some(Frame::Topic { name, .. }) => self.robot.sighting(name).is_ok(),
