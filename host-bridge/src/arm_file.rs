@@ -42,19 +42,27 @@ fn beside(scene_file: &Path) -> &Path {
 fn alone(text: &str, file: Option<&Path>, scene_file: &Path, table: &ArmTable) -> Result<ArmFile, String> {
     let missing = crate::arm::urdf::Missing::of(table);
     let packages = with_ros(table.packages.iter().map(|folder| beside(scene_file).join(folder)));
-    let places = Places { beside: file.and_then(Path::parent), packages: &packages };
+    let folder = file.and_then(folder_of);
+    let places = Places { beside: folder.as_deref(), packages: &packages };
     let alone = crate::arm::urdf_meshes::stand_alone(text, &missing, &|name| places.mesh(name));
     let alone = alone.map_err(|error| error.to_string())?;
     Ok(ArmFile { text: alone.text, notes: alone.notes })
 }
 
+/// Returns the absolute path of a file's folder, because a relative path lacks some of the folders around it.
+fn folder_of(file: &Path) -> Option<PathBuf> {
+    std::path::absolute(file).ok()?.parent().map(Path::to_owned)
+}
+
 /// The search begins with the folders that the scene lists. The folders where ROS stores its packages follow.
 fn with_ros(packages: impl Iterator<Item = PathBuf>) -> Vec<PathBuf> {
-    let of = |name: &str| std::env::var_os(name).unwrap_or_default();
-    let prefixes = std::env::split_paths(&of("AMENT_PREFIX_PATH"))
-        .map(|prefix| prefix.join("share"))
-        .collect::<Vec<_>>();
-    let older: Vec<PathBuf> = std::env::split_paths(&of("ROS_PACKAGE_PATH")).collect();
+    let of = |name: &str| {
+        let list = std::env::var_os(name).unwrap_or_default();
+        // An empty entry would mean the working folder.
+        std::env::split_paths(&list).filter(|path| !path.as_os_str().is_empty()).collect::<Vec<_>>()
+    };
+    let prefixes = of("AMENT_PREFIX_PATH").into_iter().map(|prefix| prefix.join("share"));
+    let older = of("ROS_PACKAGE_PATH");
     packages.chain(prefixes).chain(older).collect()
 }
 
@@ -163,5 +171,10 @@ mod tests {
             published(&ARM.replace("b.obj", "package://desk/urdf/b.obj"), Path::new("x.toml"), &table)
                 .unwrap();
         assert_eq!(named.text, found.text);
+    }
+
+    #[test]
+    fn a_file_in_the_working_folder_is_searched_from_that_folder_upwards() {
+        assert_eq!(folder_of(Path::new("arm.urdf")), std::env::current_dir().ok());
     }
 }
