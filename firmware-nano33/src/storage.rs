@@ -3,8 +3,9 @@
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use shared_board::models::{MappedFlash, StoredModel};
-use shared_board::slots::STORE_BYTES;
+use shared_board::models::MappedFlash;
+#[cfg(not(feature = "left"))]
+use shared_board::{models::StoredModel, slots::STORE_BYTES};
 
 /// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
@@ -17,6 +18,14 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
 #[cfg(feature = "trouble")]
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
+/// The left hand has no models. The last two pages of their slots hold its calibration, away from the slots' headers.
+#[cfg(feature = "left")]
+const CALIBRATIONS_START: u32 = 0x000E_0000 - CALIBRATIONS_BYTES as u32;
+#[cfg(feature = "left")]
+const CALIBRATIONS_BYTES: usize = shared_board::eeprom_log::PAGES * PAGE_BYTES as usize;
+/// The log of the left hand's calibration.
+#[cfg(feature = "left")]
+pub type Calibrations<F> = Region<F, CALIBRATIONS_START, CALIBRATIONS_BYTES>;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
 /// Maximum number of words per call of [`Flash::write`].
@@ -44,6 +53,7 @@ pub trait Flash {
 pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
 
 /// The two slots of models.
+#[cfg(not(feature = "left"))]
 pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;
 
 impl<F, const START: u32, const BYTES: usize> ErrorType for Region<F, START, BYTES> {
@@ -99,10 +109,12 @@ impl<F: Flash, const START: u32, const BYTES: usize> MappedFlash for Region<F, S
 }
 
 /// Returns the data of a stored model.
+#[cfg(not(feature = "left"))]
 pub fn blob(place: StoredModel) -> &'static [u8] {
     stored(place.offset(), place.len)
 }
 
+#[cfg(not(feature = "left"))]
 fn stored(offset: usize, len: usize) -> &'static [u8] {
     mapped(SLOTS_START + offset as u32, len.min(STORE_BYTES.saturating_sub(offset)))
 }

@@ -54,6 +54,7 @@ extern crate std;
 
 pub mod bonds;
 pub mod calibration_store;
+pub mod eeprom_log;
 pub mod faults;
 pub mod guard;
 pub mod hand;
@@ -61,6 +62,7 @@ pub mod left;
 #[cfg(any(test, feature = "host"))]
 pub mod memory;
 pub mod models;
+pub(crate) mod pages;
 pub mod right;
 pub mod slots;
 pub mod vibration;

@@ -18,18 +18,6 @@ pub mod desk;
 #[cfg(all(unix, feature = "ble"))]
 pub mod bluez;
 
-/// Returns whether the tests of the image with Bluetooth linked in run. It takes minutes to build, so this is the long run,
-/// or a run for which `BIMANUAL_NANO33_TROUBLE_ELF` names the image.
-pub fn has_linked_image() -> bool {
-    let has = is_full() || std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").is_some();
-    if !has {
-        println!(
-            "skipped: `cargo xtask test --full` builds the image `trouble`, or BIMANUAL_NANO33_TROUBLE_ELF names one"
-        );
-    }
-    has
-}
-
 /// Returns whether this is the long run (`cargo xtask test --full`).
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()

@@ -54,9 +54,6 @@ fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
 
 #[test]
 fn it_is_found_by_its_name_and_its_service() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = rig();
     let heard = rig.get(json!({"do": "scan", "seconds": 1.0}));
     println!("{heard}");
@@ -69,9 +66,6 @@ fn it_is_found_by_its_name_and_its_service() {
 
 #[test]
 fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_sampling_keeps_100_hz() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = rig();
     let tap = rig.board.tap("bimanual_sample", 0);
     let from = rig.board.now();
@@ -105,9 +99,6 @@ fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_samp
 
 #[test]
 fn legacy_pairing_is_refused() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = rig();
     rig.get(json!({"do": "configure", "secure": false}));
     rig.get(json!({"do": "connect", "interval": 15.0}));
@@ -119,9 +110,6 @@ fn legacy_pairing_is_refused() {
 
 #[test]
 fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = rig();
     rig.get(json!({"do": "connect", "interval": 15.0}));
     rig.get(json!({"do": "discover"}));
@@ -146,9 +134,6 @@ fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
 
 #[test]
 fn keys_that_the_laptop_does_not_keep_give_nothing() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = rig();
     rig.get(json!({"do": "configure", "bonds": false}));
     rig.get(json!({"do": "connect", "interval": 15.0}));
@@ -166,9 +151,6 @@ fn keys_that_the_laptop_does_not_keep_give_nothing() {
 
 #[test]
 fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = joined(7.5);
     rig.run_ms(7000);
     // Bumble grants the longest interval that the board asks for; Linux grants the shortest.
@@ -207,9 +189,6 @@ fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
 
 #[test]
 fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = joined(15.0);
     rig.run_ms(2000);
     // The board restarts: the laptop notices by silence.
@@ -241,9 +220,6 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
 
 #[test]
 fn when_either_side_has_lost_the_bond_both_pair_anew() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = joined(15.0);
     rig.run_ms(2000);
     // The board's flash is blank: it says so, and the laptop forgets and pairs again, as its owner would.
@@ -275,9 +251,6 @@ fn when_either_side_has_lost_the_bond_both_pair_anew() {
 
 #[test]
 fn out_of_range_for_longer_than_the_supervision_timeout_it_advertises_again() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let mut rig = joined(15.0);
     rig.run_ms(1000);
     rig.board.controller().in_range = false;
@@ -426,18 +399,12 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
 
 #[test]
 fn random_packets_do_not_stop_it() {
-    if !tests::has_linked_image() {
-        return;
-    }
     bombard(24, random_packet);
 }
 
 /// Most of these have a right length: what the guard in the image (`shared_board::guard`) lets through, the host must survive.
 #[test]
 fn mutated_packets_do_not_stop_it() {
-    if !tests::has_linked_image() {
-        return;
-    }
     let from = sensible();
     bombard(25, move |random| mutated_packet(random, &from));
 }

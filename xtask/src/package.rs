@@ -167,7 +167,7 @@ fn images(folder: &Path) -> Result<()> {
         let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
         sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
     }
-    for name in ["xiao", "xiao-trouble"] {
+    for name in ["xiao", "xiao-trouble", "xiao-left"] {
         let file = firmware_nano33::image(name).with_extension("uf2");
         copy(&file, &folder.join(name).with_extension("uf2"))?;
     }

@@ -16,10 +16,12 @@ pub enum Variant {
     Xiao,
     /// The image behind the stock bootloader at 0x10000, with Bluetooth linked in.
     Trouble,
+    /// A left hand's image for a XIAO nRF52840 Sense, with Bluetooth linked in.
+    XiaoLeft,
 }
 
 /// Returns the image of a variant, built by `cargo xtask firmware nano33`. The variables `BIMANUAL_NANO33_ELF`,
-/// `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` select other images, or images
+/// `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF`, `BIMANUAL_XIAO_ELF` and `BIMANUAL_XIAO_LEFT_ELF` select other images, or images
 /// that are already built, as `cargo xtask test` does.
 ///
 /// # Panics
@@ -28,11 +30,13 @@ pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
     static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
+    static LEFT: OnceLock<PathBuf> = OnceLock::new();
     let (cell, given) = match variant {
         Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
         Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
+        Variant::XiaoLeft => (&LEFT, "BIMANUAL_XIAO_LEFT_ELF"),
     };
     let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
     Image::load(path)
@@ -60,6 +64,7 @@ fn build(variant: Variant) -> PathBuf {
         Variant::Ble => "ble",
         Variant::Xiao => "xiao",
         Variant::Trouble => "trouble",
+        Variant::XiaoLeft => "xiao-left",
     };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

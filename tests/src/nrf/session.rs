@@ -1,7 +1,9 @@
 //! A laptop at the emulated board's serial port or Bluetooth, which sends requests and receives messages.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
-use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
+use shared_proto::message::{
+    About, Ack, Board as BoardKind, BoardMessage, Fault, Hello, HostMessage, LeftState, Status,
+};
 
 use super::air_host::AirHost;
 use super::ble_host::BleHost;
@@ -39,8 +41,12 @@ pub struct Right {
 pub struct Heard {
     /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
+    /// The kind of board from the newest hello message.
+    pub kind: Option<BoardKind>,
     /// States of the hand.
     pub states: Vec<Right>,
+    /// States of a left hand, each with the cycle at which its frame was complete.
+    pub lefts: Vec<(u64, LeftState)>,
     /// Counters from status messages.
     pub statuses: Vec<Status>,
     /// Fault reports.
@@ -121,7 +127,16 @@ impl RightRig {
     /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
-        let image = image(Variant::Trouble);
+        Self::on_air(Variant::Trouble, kind, motion)
+    }
+
+    /// Starts such a session with a left hand. [`set_flex`](super::left_hand::set_flex) sets its flex sensors.
+    pub fn left_air(motion: Box<dyn Motion>) -> Self {
+        Self::on_air(Variant::XiaoLeft, Kind::Xiao, motion)
+    }
+
+    fn on_air(variant: Variant, kind: Kind, motion: Box<dyn Motion>) -> Self {
+        let image = image(variant);
         let controller = Controller::new(&image.symbols, Air::start(), 0);
         let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);
         board.answer_controller(controller);
@@ -235,7 +250,11 @@ impl Heard {
     fn push(&mut self, decoder: &mut Decoder<BOARD_FRAME_MAX>, at: u64, byte: u8) {
         let Some(payload) = decoder.push(byte) else { return };
         match parse_board(payload).expect("a message of this version") {
-            BoardMessage::Hello(Hello { boot_id, model_id, .. }) => self.hellos.push((boot_id, model_id)),
+            BoardMessage::Hello(Hello { boot_id, model_id, board, .. }) => {
+                self.kind = Some(board);
+                self.hellos.push((boot_id, model_id));
+            }
+            BoardMessage::Left(left) => self.lefts.push((at, left)),
             BoardMessage::Right(r) => self.states.push(Right {
                 at,
                 sequence: r.sequence,
@@ -256,7 +275,7 @@ impl Heard {
                 self.raw.push((raw.first_sample, counts));
             }
             BoardMessage::About(about) => self.about = Some(about),
-            BoardMessage::ModelInfo(_) | BoardMessage::Left(_) | BoardMessage::RawAdc(_) => {}
+            BoardMessage::ModelInfo(_) | BoardMessage::RawAdc(_) => {}
         }
     }
 }

@@ -164,6 +164,11 @@ impl Controller {
         self.link.as_ref().map(|link| (link.octets, link.fast))
     }
 
+    /// The board's number on its air.
+    pub fn number(&self) -> u8 {
+        self.index
+    }
+
     /// Puts an L2CAP packet on the air to the board, as a laptop that is not bumble could.
     pub fn inject(&mut self, fragment: &[u8], starts: bool) {
         let Some(link) = &mut self.link else { return };
@@ -195,7 +200,8 @@ impl Controller {
     }
 
     /// Tells the laptop to do something; the number under which its outcome will stand in [`Air::log`].
-    pub fn order(&mut self, order: serde_json::Value, soc: &mut Soc) -> u64 {
+    pub fn order(&mut self, mut order: serde_json::Value, soc: &mut Soc) -> u64 {
+        order["board"] = self.index.into();
         let number = self.air().order(soc.now, order);
         self.take_in(soc);
         number
@@ -376,7 +382,9 @@ impl Controller {
         let link = self.link.as_ref().map(|link| link.next_event.min(link.lost_at()));
         let air = Some(self.air().due).filter(|&due| due < u64::MAX);
         let clock = self.clock_wanted.filter(|_| soc.power.crystal).map(|_| soc.now);
-        [link, air, clock, self.slot.due()].into_iter().flatten().min()
+        // Another board's packets have made bumble say something to this one.
+        let inbox = (!self.air().inbox[usize::from(self.index)].is_empty()).then_some(soc.now);
+        [link, air, clock, self.slot.due(), inbox].into_iter().flatten().min()
     }
 
     /// Does what is due by now.
@@ -384,8 +392,8 @@ impl Controller {
         let air_is_due = self.air().due <= now;
         if air_is_due {
             self.air().ask(Ask::Packets, self.index, now, &[]);
-            self.take_in(soc);
         }
+        self.take_in(soc);
         if soc.power.crystal
             && let Some(call_back) = self.clock_wanted.take()
             && call_back != 0
