@@ -1,7 +1,8 @@
-//! Reads five analog channels after each clock tick. The converter's interrupt sums eight conversions of each.
+//! Reads five analog channels after each clock tick.
+//! The converter's interrupt sums eight conversions of each channel.
 //!
 //! Before it reads a channel, the converter measures ground once, which empties its sampling capacitor.
-//! Without this, an open channel would repeat its neighbour's voltage.
+//! Without this measurement, an open channel would repeat its neighbour's voltage.
 //! With this measurement, an open channel reads near 0, which counts as a fault.
 //!
 //! The reference is always AREF, which is wired to 3.3 V.
@@ -18,7 +19,8 @@ use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 const CHANNELS: [u8; 5] = [3, 4, 0, 1, 2];
 /// The multiplexer's ground.
 const GROUND: u8 = 0b1111;
-/// The converter's clock is the CPU clock / 128 = 125 kHz. Full resolution requires 50 to 200 kHz. One conversion takes 13 clocks, 104 µs.
+/// The converter's clock is the CPU clock / 128 = 125 kHz. Full resolution requires 50 to 200 kHz.
+/// One conversion takes 13 clocks, which are 104 µs.
 const PRESCALER: u8 = 0b111;
 /// If a sample is unfinished after this number of sample periods, the converter hangs.
 const PATIENCE: u8 = 3;
@@ -60,7 +62,7 @@ fn convert(adc: &ADC) {
     adc.adcsra.write(|w| unsafe { w.bits(0b1100_1000 | PRESCALER) });
 }
 
-/// Enables the converter. Must be called with interrupts disabled.
+/// Enables the converter. Call this with interrupts disabled.
 pub fn start() {
     let adc = converter();
     select(&adc, GROUND);
@@ -140,7 +142,7 @@ pub fn take_sample() -> Option<AdcCounts> {
     interrupt::free(|cs| BURST.borrow(cs).borrow_mut().finished.take())
 }
 
-/// Is a finished sample waiting?
+/// Returns whether a finished sample is waiting.
 pub fn has_sample() -> bool {
     interrupt::free(|cs| BURST.borrow(cs).borrow().finished.is_some())
 }

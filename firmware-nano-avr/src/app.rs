@@ -46,7 +46,8 @@ static mut APP: MaybeUninit<App> = MaybeUninit::uninit();
 
 /// Creates the [`App`]. With `guided`, the app starts a calibration and guides the wearer with the LED.
 /// This function must be called only once per start.
-/// The function is not inlined, because its temporary copy of the app would otherwise occupy the stack of `main` permanently.
+/// The function is not inlined.
+/// Otherwise, its temporary copy of the app would occupy the stack of `main` permanently.
 #[inline(never)]
 pub fn install(cause: Cause, guided: bool) -> &'static mut App {
     // Safety: no other code uses `APP` at this point. Interrupts are still disabled and never access it.
@@ -72,7 +73,7 @@ fn queue(frame: &[u8]) -> bool {
 }
 
 impl App {
-    /// Returns whether any work is pending. Must be called with interrupts disabled.
+    /// Returns whether any work is pending. Call this with interrupts disabled.
     pub fn has_work(&self) -> bool {
         self.period != clock::periods() || adc::has_sample() || Serial.read_ready() == Ok(true)
     }

@@ -28,7 +28,7 @@ use core::arch::asm;
 
 /// Entry point for avr-libc's start code.
 /// The start code of avr-libc up to 2.2 calls `main` from `.init9`.
-/// From version 2.3 on, the start code falls through into the code placed there.
+/// From version 2.3 on, the start code falls through into the code in this section.
 #[unsafe(link_section = ".init9")]
 #[unsafe(export_name = "main")]
 extern "C" fn main() -> ! {

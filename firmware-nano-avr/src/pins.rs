@@ -24,7 +24,7 @@ pub fn start() {
     }
 }
 
-/// Is D2 held to ground?
+/// Returns whether D2 is held to ground.
 pub fn calibration_wanted() -> bool {
     CalibrationPin.is_low().unwrap_or(false)
 }

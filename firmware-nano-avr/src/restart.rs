@@ -112,7 +112,8 @@ pub fn arm() {
     set_watchdog(mode | QUARTER_SECOND);
 }
 
-/// The old bootloader starts at 0x7800. The new one starts at 0x7E00 and leaves the flash below erased.
+/// The old bootloader starts at 0x7800.
+/// The new bootloader starts at 0x7E00 and leaves the flash below it erased.
 fn has_old_bootloader() -> bool {
     let (low, high): (u8, u8);
     // Safety: this only reads two bytes of flash.

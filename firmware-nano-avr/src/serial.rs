@@ -41,7 +41,8 @@ static LOST: Mutex<Cell<u16>> = Mutex::new(Cell::new(0));
 /// The line.
 pub struct Serial;
 
-/// Enables the receiver, its interrupt, and 8N1 at the configured baud rate. Must be called with interrupts disabled.
+/// Enables the receiver, its interrupt, and 8N1 at the configured baud rate.
+/// Call this with interrupts disabled.
 pub fn start() {
     // Safety: only this module uses USART0.
     let usart = unsafe { Peripherals::steal() }.USART0;

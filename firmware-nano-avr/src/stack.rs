@@ -1,4 +1,5 @@
-//! Measures the unused stack. The memory is painted at start, and every second the untouched part is counted.
+//! Measures the unused stack.
+//! The memory is painted at start, and the untouched part is counted once per second.
 
 use core::arch::asm;
 use core::ptr::{addr_of, addr_of_mut};

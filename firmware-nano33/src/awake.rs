@@ -17,7 +17,8 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
     static EXECUTOR: static_cell::StaticCell<raw::Executor> = static_cell::StaticCell::new();
     dcb.enable_trace();
     dwt.enable_cycle_counter();
-    // The executor in thread mode receives this context value: a task that wakes sends an event, which ends the sleep below.
+    // The executor in thread mode receives this context value.
+    // A task that wakes therefore sends an event, which ends the sleep below.
     let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
     init(executor.spawner());
     loop {
@@ -30,7 +31,7 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
 /// Sleeps until an event.
 fn sleep() {
     // nRF52840 erratum 87: a pending floating-point exception prevents the core from sleeping.
-    // Exception flags are sticky, and an inexact result is enough to set one.
+    // The exception flags are sticky, and an inexact result is enough to set a flag.
     // The code therefore clears the flags and the pending interrupt.
     // SAFETY: the exception flags of FPSCR have no other use here, and interrupt 38 (FPU) has no handler.
     unsafe {
@@ -51,7 +52,7 @@ pub fn cycles() -> u32 {
     DWT::cycle_count()
 }
 
-/// Returns the share of time awake since the last call, in parts per thousand.
+/// Measures the share of time awake since the last call, in parts per thousand.
 pub struct Load {
     cycles: u32,
     at: embassy_time::Instant,
@@ -74,7 +75,8 @@ impl Load {
 }
 
 const PAINT: u32 = 0x57AC_57AC;
-/// Used stack may contain a few words equal to the pattern, so only a run of this many words counts as never used.
+/// The used stack may contain a few words that equal the pattern.
+/// Only a run of this many words therefore counts as never used.
 const RUN: usize = 64;
 static LEAST_FREE: AtomicU32 = AtomicU32::new(u32::MAX);
 
@@ -82,7 +84,7 @@ unsafe extern "C" {
     static mut __sheap: u32;
 }
 
-/// Fills the free stack with a pattern. Called once, early.
+/// Fills the free stack with a pattern. Call this once, early in the start.
 pub fn paint_stack() {
     let mut word = &raw mut __sheap;
     let end = (cortex_m::register::msp::read() - 256) as *mut u32;

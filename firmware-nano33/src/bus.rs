@@ -20,16 +20,16 @@ pub struct SensorPins {
     pub sda: Peri<'static, AnyPin>,
     /// I2C clock.
     pub scl: Peri<'static, AnyPin>,
-    /// Supplies the sensor while high.
+    /// This pin supplies the sensor while it is high.
     pub power: Peri<'static, AnyPin>,
-    /// Supplies the pull-ups of the bus while high. Not all boards have this pin.
+    /// This pin supplies the pull-ups of the bus while it is high. Not all boards have this pin.
     pub pull_ups: Option<Peri<'static, AnyPin>>,
 }
 
 /// The bus runs at 390 kHz. At the nominal 400 kHz, its low period is shorter than I2C allows (nRF52840 erratum 219).
 const FREQUENCY: u32 = 0x0620_0000;
 
-/// The I2C bus inside the module, which is not the one on the board's header.
+/// The I2C bus inside the module, which is not the bus on the board's header.
 pub struct SensorBus {
     twim: Peri<'static, TWISPI0>,
     sda: Peri<'static, AnyPin>,
@@ -66,7 +66,7 @@ impl SensorBus {
         Timer::after(Duration::from_millis(boards::START_MS - 10)).await;
     }
 
-    /// Frees a bus on which a device drives SDA low, with up to nine clock pulses and a stop condition.
+    /// If a device drives SDA low, frees the bus with up to nine clock pulses and a stop condition.
     /// Returns whether the bus was stuck. Afterwards both lines are high unless the fault persists.
     pub async fn clear(&mut self) -> bool {
         let mut sda = Flex::new(self.sda.reborrow());

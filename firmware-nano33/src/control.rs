@@ -1,18 +1,24 @@
-//! The receiving task passes the laptop's messages to the board and to the model store. Both reply to these messages.
+//! The receiving task passes the laptop's messages to the board and to the model store.
+//! The board and the store reply to these messages.
 
-use embassy_time::{Duration, Timer};
+use embassy_time::Timer;
+#[cfg(feature = "trouble")]
+use shared_board::images::ImageStore;
 use shared_board::models::{MappedFlash, ModelStore};
 use shared_proto::frame::parse_host;
 use shared_proto::message::HostMessage;
 
 use crate::link::INBOX;
+use crate::storage::PAUSE;
+#[cfg(feature = "trouble")]
+use crate::update;
 use crate::{about, board, state, vibrate};
 
-/// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
-const PAUSE: Duration = Duration::from_millis(40);
-
 /// Answers for ever.
-pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
+pub async fn run<F: MappedFlash>(
+    mut store: ModelStore<F>,
+    #[cfg(feature = "trouble")] mut images: ImageStore<impl MappedFlash>,
+) -> ! {
     loop {
         let received = INBOX.receive().await;
         let mut link = received.link;
@@ -23,7 +29,16 @@ pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
         if matches!(message, HostMessage::Feel { .. }) {
             vibrate::FELT.signal(());
         }
+        #[cfg(feature = "trouble")]
+        if received.trusted && matches!(message, HostMessage::HelloRequest) {
+            // If the mark is not stored, the laptop's question about the image says so.
+            images.said_hello().await;
+        }
         if let Some(request) = request {
+            #[cfg(feature = "trouble")]
+            if update::answer(&mut images, &request, &mut link).await {
+                continue;
+            }
             if let axes @ 1.. = about::now().axes {
                 store.set_axes(axes);
             }

@@ -1,4 +1,4 @@
-//! Writes to flash with the chip's controller, for images whose radio does not own it.
+//! Writes to flash with the chip's controller, for images whose radio does not own that controller.
 
 use crate::storage::{Flash, FlashFailed};
 

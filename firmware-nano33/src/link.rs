@@ -110,7 +110,7 @@ impl FrameOut for WayOut {
     }
 }
 
-/// Sends to every link with a listener.
+/// Sends frames to every link with a listener.
 pub struct Everywhere;
 
 impl FrameOut for Everywhere {

@@ -34,6 +34,8 @@ mod sample;
 mod state;
 mod storage;
 mod uart;
+#[cfg(feature = "trouble")]
+mod update;
 mod usb;
 #[cfg(not(feature = "left"))]
 mod vibrate;
@@ -61,6 +63,8 @@ compile_error!(
 
 use defmt_rtt as _;
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
+#[cfg(feature = "trouble")]
+use shared_board::images::ImageStore;
 
 /// Logs go to the probe, and the laptop receives a report at the next start.
 /// Boards with Bluetooth linked in have no probe, and the log texts would be a tenth of their image.
@@ -91,7 +95,7 @@ fn main() -> ! {
     config.gpiote_interrupt_priority = Priority::P7;
     let p = embassy_nrf::init(config);
     let reasons = embassy_nrf::pac::POWER.resetreas().read();
-    // Writing ones clears the bits of RESETREAS.
+    // A bit of RESETREAS is cleared by writing 1 to it.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
     #[cfg(not(feature = "left"))]
@@ -138,7 +142,10 @@ fn main() -> ! {
             let kept = install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
+            #[cfg(feature = "ble")]
             spawner.spawn(run_control(kept).expect("spawned once"));
+            #[cfg(feature = "trouble")]
+            spawner.spawn(run_control(kept, ImageStore::new(storage::Region(flash))).expect("spawned once"));
             radio.spawn(spawner, parts.usbd);
         })
     }
@@ -181,6 +188,14 @@ use left::board::{Kept, install};
 use model::{Kept, install};
 
 /// Answers the laptop.
+#[cfg(feature = "trouble")]
+#[embassy_executor::task]
+async fn run_control(kept: Kept<BoardFlash>, images: ImageStore<storage::Images<BoardFlash>>) {
+    control::run(kept, images).await
+}
+
+/// Answers the laptop.
+#[cfg(not(feature = "trouble"))]
 #[embassy_executor::task]
 async fn run_control(kept: Kept<BoardFlash>) {
     control::run(kept).await

@@ -28,7 +28,7 @@ pub type Kept<F> = ModelStore<Slots<F>>;
 pub fn install<F: Flash>(flash: F) -> Kept<F> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
-    // The store has checked a stored model, and build.rs checks the built-in one.
+    // The store has checked a stored model, and build.rs checks the built-in model.
     let hand =
         Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
     let Some(hand) = hand else { defmt::unreachable!("checked before") };

@@ -75,7 +75,7 @@ fn micros(time: Instant) -> u64 {
     time.as_ticks() * 15625 / 512
 }
 
-/// Samples for ever.
+/// Takes samples for ever.
 #[embassy_executor::task]
 pub async fn run(mut bus: SensorBus) -> ! {
     bus.power_up().await;
@@ -101,7 +101,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
     }
 }
 
-/// Detects and starts the sensor, then samples until the sensor fails.
+/// Detects and starts the sensor, and then takes samples until the sensor fails.
 async fn attempt_once(bus: &mut SensorBus, batch: &mut Batch, next: &mut u64, attempt: &mut u32) -> ImuError {
     let mut imu = match with_timeout(POLL_TIMEOUT, Found::find(bus.open(), boards::SENSORS)).await {
         Ok(Ok(imu)) => imu,
@@ -138,7 +138,7 @@ fn skip_past(next: &mut u64) {
     }
 }
 
-/// Samples until the sensor fails.
+/// Takes samples until the sensor fails.
 async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuError {
     let mut grid = Grid::new(imu.nominal_hz());
     let mut last_good = Instant::now();

@@ -1,11 +1,15 @@
 //! Defines the layout of the image's flash and stores received models in the two slots of `shared_board`.
 
+use embassy_time::Duration;
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
 use shared_board::models::MappedFlash;
 #[cfg(not(feature = "left"))]
 use shared_board::{models::StoredModel, slots::STORE_BYTES};
+
+#[cfg(feature = "trouble")]
+use crate::boards;
 
 /// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
@@ -18,7 +22,11 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
 #[cfg(feature = "trouble")]
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
-/// The left hand has no models. The last two pages of their slots hold its calibration, away from the slots' headers.
+/// Slot B of the images and the journal of their exchange.
+#[cfg(feature = "trouble")]
+pub const IMAGES_START: u32 = boards::BASE + shared_board::update::SLOT_B;
+/// Start of the last two pages of the model slots.
+/// A left hand has no models, and stores its calibration in these pages, away from the slots' headers.
 #[cfg(feature = "left")]
 const CALIBRATIONS_START: u32 = 0x000E_0000 - CALIBRATIONS_BYTES as u32;
 #[cfg(feature = "left")]
@@ -28,6 +36,8 @@ const CALIBRATIONS_BYTES: usize = shared_board::eeprom_log::PAGES * PAGE_BYTES a
 pub type Calibrations<F> = Region<F, CALIBRATIONS_START, CALIBRATIONS_BYTES>;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
+/// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
+pub const PAUSE: Duration = Duration::from_millis(40);
 /// Maximum number of words per call of [`Flash::write`].
 const WORDS_AT_ONCE: usize = 32;
 
@@ -43,7 +53,7 @@ impl NorFlashError for FlashFailed {
 
 /// Flash operations that the storage requires.
 pub trait Flash {
-    /// Sets a page to all ones.
+    /// Erases a page, which sets all its bits to one.
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed>;
     /// Writes words to erased flash. The address must be a multiple of 4.
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;
@@ -51,6 +61,10 @@ pub trait Flash {
 
 /// A part of a controller's flash.
 pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
+
+/// The place of a new image.
+#[cfg(feature = "trouble")]
+pub type Images<F> = Region<F, IMAGES_START, { shared_board::images::STORE_BYTES }>;
 
 /// The two slots of models.
 #[cfg(not(feature = "left"))]
@@ -120,7 +134,8 @@ fn stored(offset: usize, len: usize) -> &'static [u8] {
 }
 
 fn mapped(start: u32, len: usize) -> &'static [u8] {
-    // SAFETY: this is memory-mapped flash that the linker does not use. It changes only through `Flash`.
+    // SAFETY: this is memory-mapped flash that the linker does not use.
+    // The flash changes only through `Flash`.
     // A `ModelStore` keeps no reference while it writes, and never writes to the slot of the running model.
     // The same holds for a `BondLog`.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }

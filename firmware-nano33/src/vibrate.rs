@@ -20,7 +20,7 @@ const PERCENT: u16 = 8;
 
 /// The pin that controls the transistor of an optional motor.
 pub struct Parts {
-    /// The PWM generator. It is not PWM0, because the stock bootloader leaves that one running.
+    /// The PWM generator. PWM0 is not used, because the stock bootloader leaves it running.
     pub pwm: Peri<'static, PWM1>,
     /// Its pin.
     pub pin: Peri<'static, AnyPin>,

@@ -92,7 +92,7 @@ pub fn restart_after_panic() -> ! {
 /// Reports how the previous run ended. `reasons` is the value of RESETREAS at start.
 pub fn report_last_run(reasons: u32) {
     const WATCHDOG: u32 = 1 << 1;
-    // SAFETY: as in the panic handler, and no other code runs at start.
+    // SAFETY: the reasons are those in the panic handler, and no other code runs at start.
     let panicked = unsafe {
         let mark = (&raw const PANICKED).read_volatile();
         (&raw mut PANICKED).write_volatile(0);

@@ -1,9 +1,11 @@
-//! Plans paths between random poses of an arm from a URDF, and writes them for the checker `tests/arms/check.py`.
+//! Plans paths between random poses of an arm from a URDF.
+//! The checker `tests/arms/check.py` reads the output.
 //!
 //! ```text
-//! cargo run -p host-bridge --features urdf --example arm-ways -- OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS
+//! cargo run -p host-bridge --features urdf --example arm-ways -- OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS [MARGIN_MM]
 //! ```
-//! If ROOT or TIP is `-`, the URDF's own is used. The arm stands on a post between two boxes of the arm's size.
+//! If ROOT or TIP is `-`, the URDF's own link is used.
+//! The arm stands on a post between two boxes of the arm's size.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -16,16 +18,23 @@ use host_bridge::robot::{Joints, Random};
 use host_bridge::scene::{ArmTable, Scene};
 use serde_json::json;
 
-/// Plans keep a margin of 10 mm, so poses that are closer to an obstacle are not requested.
-const CLEAR_M: f64 = 0.011;
+/// Plans keep this margin, unless another one is given.
+const MARGIN_MM: f64 = 10.0;
+/// Poses that are closer to an obstacle than the margin and this are not requested.
+const SPARE_M: f64 = 0.001;
+/// Poses are asked for within half a turn (of a slide: within all its metres).
+const HALF_TURN: f64 = 3.1;
 /// Samples per second of a path.
 const RATE: f64 = 200.0;
 
 fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let [out, urdf, packages, root, tip, pairs] = args.as_slice() else {
-        bail!("usage: arm-ways OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS");
+    let [out, urdf, packages, root, tip, pairs, rest @ ..] = args.as_slice() else {
+        bail!("usage: arm-ways OUT.json FILE.urdf PACKAGES ROOT TIP PAIRS [MARGIN_MM]");
     };
+    let margin_mm: f64 =
+        rest.first().map_or(Ok(MARGIN_MM), |mm| mm.parse()).context("MARGIN_MM is a number")?;
+    let margin_m = 0.001 * margin_mm;
     let named = |name: &String| (name != "-").then(|| name.clone());
     let table = ArmTable {
         root: named(root),
@@ -42,8 +51,9 @@ fn main() -> Result<()> {
     let size_m = 0.2 * reach_m;
     let boxes =
         [[0.6 * reach_m, 0.25 * reach_m, 0.3 * reach_m], [-0.3 * reach_m, -0.6 * reach_m, 0.5 * reach_m]];
-    let mut scene = String::from(
-        "[base]\nsize_m = [0.02, 0.02, 0.02]\nmount_m = [0.0, 0.0, 2.0]\n[arm]\nvelocity_scaling = 1.0\nacceleration_scaling = 1.0\n",
+    let mut scene = format!(
+        "[base]\nsize_m = [0.02, 0.02, 0.02]\nmount_m = [0.0, 0.0, 2.0]\n\
+         [arm]\nvelocity_scaling = 1.0\nacceleration_scaling = 1.0\nmargin_m = {margin_m:?}\n"
     );
     for (i, [x, y, z]) in boxes.iter().enumerate() {
         scene += &format!(
@@ -60,11 +70,12 @@ fn main() -> Result<()> {
         (0..3000).find_map(|_| {
             let mut joints_rad = Joints::default();
             for (value, joint) in joints_rad.iter_mut().zip(&world.arm().joints) {
-                let (low, high) = joint.limit_rad.unwrap_or((-3.1, 3.1));
-                *value = random.between(low, high);
+                let (low, high) = joint.limit_rad.unwrap_or((-HALF_TURN, HALF_TURN));
+                // A joint that may turn further is asked for every angle once, but may use all its range on the way.
+                *value = random.between(low.max(-HALF_TURN), high.min(HALF_TURN));
             }
             let found = around.arm_clearance(&joints_rad);
-            if found.distance_m < CLEAR_M {
+            if found.distance_m < margin_m + SPARE_M {
                 let (one, two) = found.parts;
                 *near.entry(format!("{} and {}", world.name(one), world.name(two))).or_default() += 1;
                 return None;

@@ -31,7 +31,7 @@ const SEED: u64 = 20_261_122;
 /// Length of both recordings.
 const LENGTH_S: f64 = 84.0;
 
-/// Gestures of the right hand: each has a start time, a duration and a motion. The second up-down releases the stop.
+/// Gestures of the right hand with start time, duration and motion. The second up-down releases the stop.
 const RIGHT: [(f64, f64, Motion); 7] = [
     (3.0, 3.2, Motion::UpDown),
     (8.8, 3.2, Motion::ToFro),
@@ -83,10 +83,10 @@ fn left_script() -> Vec<Act> {
 }
 
 /// Calculates the final pose of the base and the final cap.
-/// Each command contributes its speed (at the current cap) multiplied by
-/// its duration.
+/// The contribution of each command is its speed (at the current cap) multiplied by its duration.
 fn plan(acts: &[Act]) -> (Odometry, f64) {
-    // Delay from the start of closing the fingers to the stop: half the closing time, 20 ms debouncing, 300 ms holding.
+    // Delay from the start of closing the fingers to the stop.
+    // The delay consists of half the closing time, 20 ms of debouncing and 300 ms of holding.
     const STOP_DELAY_S: f64 = 0.4;
     let mut place = Odometry::default();
     let mut ordered = acts.to_vec();
@@ -138,7 +138,7 @@ struct LeftWearer {
 }
 
 impl LeftWearer {
-    /// Actual pitch and roll of this wearer's hand in the pose that the wearer considers level, in degrees.
+    /// Actual pitch and roll of this wearer's hand, in degrees, when the wearer considers the hand level.
     const POSE: [f64; 2] = [4.0, -3.0];
     /// Errors of the accelerometer: offsets in counts, and gain factors.
     const OFFSET: [f64; 3] = [14.0, -11.0, 9.0];
@@ -184,7 +184,7 @@ impl LeftWearer {
     }
 }
 
-/// Measures the neutral pose, the straight fingers and the bends in the same way as the board's calibration.
+/// Measures the neutral pose, the straight fingers and the bends, as the board's calibration does.
 fn calibrate(wearer: &mut LeftWearer) -> Calibration {
     let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
     let mut time_ms = 0;

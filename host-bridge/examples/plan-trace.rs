@@ -1,5 +1,6 @@
-//! Writes results of the planner, the kinematics and the base to files, which `tests/mujoco/check.py` checks with an
-//! independent physics engine: `cargo run -p host-bridge --example plan-trace -- DIRECTORY`.
+//! Writes results of the planner, the kinematics and the base to files.
+//! `tests/mujoco/check.py` checks these files with an independent physics engine.
+//! Usage: `cargo run -p host-bridge --example plan-trace -- DIRECTORY`.
 //!
 //! All files consist of rows of little-endian f64:
 //!
@@ -33,7 +34,7 @@ const SCENES: [(&str, &str); 3] = [
     ("bins", include_str!("../scenes/bins.toml")),
 ];
 
-/// Parts on the flange, for the checker that uses the makers' meshes: `tests/arms/gen3.py`.
+/// Parts on the flange. The checker `tests/arms/gen3.py` uses the makers' meshes for them.
 const TOOLS: &str = "\n[[tool]]\nname = \"gen3-vision\"\n[[tool]]\nname = \"2f-85\"\n";
 
 fn main() -> Result<()> {

@@ -27,7 +27,7 @@ impl Observer for Printer {
     fn state(&mut self, now: &Now<'_>) {
         if self.0.remove(&now.time_ms) {
             let links = link_poses_in_world(now, &now.robot.picture().arm.joints_rad);
-            // The page draws one frame per joint that the arm has, and the flange.
+            // The page draws one frame for each joint of the arm, and one for the flange.
             let links = &links[..=COUNT];
             let line = serde_json::json!({ "state": Snapshot::of(now), "links": links });
             println!("{line}");

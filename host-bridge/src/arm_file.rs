@@ -26,7 +26,7 @@ pub fn read(urdf: &Path, scene_file: &Path, table: &ArmTable) -> Result<ArmFile,
     alone(&text, Some(&file), scene_file, table)
 }
 
-/// Does the same for a description that a robot published, in which meshes have package paths.
+/// Does the same for a description published by a robot, whose meshes have package paths.
 ///
 /// # Errors
 /// Fails for the same reasons as [`read`].
@@ -48,7 +48,7 @@ fn alone(text: &str, file: Option<&Path>, scene_file: &Path, table: &ArmTable) -
     Ok(ArmFile { text: alone.text, notes: alone.notes })
 }
 
-/// The search order is: the folders listed in the scene, then the folders where ROS stores its packages.
+/// The search begins with the folders that the scene lists. The folders where ROS stores its packages follow.
 fn with_ros(packages: impl Iterator<Item = PathBuf>) -> Vec<PathBuf> {
     let of = |name: &str| std::env::var_os(name).unwrap_or_default();
     let prefixes = std::env::split_paths(&of("AMENT_PREFIX_PATH"))

@@ -1,7 +1,8 @@
-//! The configuration file (TOML): every port, threshold, limit and mapping.
+//! The configuration file (TOML), with all ports, thresholds, limits and mappings.
 //!
-//! `host-bridge run --print-config` writes one with all keys.
-//! An unknown key is an error with its line and the most similar known key. Unsafe values are errors too.
+//! `host-bridge run --print-config` writes a configuration with all keys.
+//! An unknown key is an error. The message contains its line and the most similar known key.
+//! Unsafe values are errors too.
 
 use std::collections::BTreeMap;
 
@@ -24,7 +25,7 @@ use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 use crate::tilt::TiltDrive;
 
-/// This value replaces a port: the user controls the hand with keys.
+/// This value in place of a port means that the user controls the hand with keys.
 pub const KEYBOARD: &str = "keyboard";
 
 /// Maximum speed of the base in m/s and rad/s if boards are accepted without a bond.
@@ -45,7 +46,8 @@ pub enum HandInput {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// Exchanges the hands: `left` is then the port of the gesture board, `right` of the tilt board.
+    /// Exchanges the hands.
+    /// Then `left` is the port of the gesture board, and `right` is the port of the tilt board.
     pub left_handed: bool,
     /// The ports of the boards.
     pub ports: Ports,
@@ -53,9 +55,10 @@ pub struct Config {
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
-    /// The conversion of a tilt to a speed within these caps: either the paper's four headings, or proportional speeds.
+    /// The conversion of a tilt to a speed within these caps.
+    /// The speed is one of the paper's four headings, or proportional to the tilt.
     pub drive: TiltDrive,
-    /// How the left hand controls the arm while it is lent to it, and the tool's speed in that case. Off by default.
+    /// The rules by which the left hand controls the arm, and the tool's speed in that case. Off by default.
     pub jog: JogRules,
     /// The vibration signals for the wearer of the right hand.
     pub vibration: Vibration,
@@ -93,7 +96,8 @@ pub struct Ports {
     /// Nothing is sent for this long after a port was opened, unless the board sends first.
     pub settle_ms: u64,
     /// Whether unbonded boards over Bluetooth may move the base (at most 0.2 m/s), but never the arm.
-    /// It is for serial modules that cannot bond, which any device in range can impersonate.
+    /// This setting is for serial modules that cannot bond.
+    /// Any device in range can impersonate such a module.
     pub allow_unbonded: bool,
 }
 
@@ -118,7 +122,7 @@ pub struct Vibration {
     pub wired: bool,
 }
 
-/// The fraction of the arm's own limits that may be used (0 to 1), and whether its jerk is limited.
+/// The fraction of the arm's own limits that may be used (0 to 1), and the choice of a jerk limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arm {
@@ -198,8 +202,8 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Returns the ports of the left and right hand, exchanged for left-handed users. An empty
-    /// text means no port.
+    /// Returns the ports of the left and right hand, exchanged for left-handed users.
+    /// An empty text means no port.
     pub fn hand_ports(&self) -> [&str; 2] {
         let Ports { left, right, .. } = &self.ports;
         if self.left_handed { [right, left] } else { [left, right] }
@@ -266,7 +270,7 @@ impl Config {
         let ensure = |sound: bool, what: &str| {
             if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
         };
-        // This check comes first, because the following ones compare each entry with all others.
+        // This check comes first, because the checks below compare each entry with all others.
         ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
         ensure(
             self.tilt.are_sound(),
@@ -399,7 +403,7 @@ impl Config {
     }
 }
 
-/// Checks that every key is known. Keys of `motions` and `marks` are labels, and therefore arbitrary.
+/// Checks that every key is known. Keys of `motions` and `marks` are labels, so they may be arbitrary.
 fn check_keys(
     table: &DeTable<'_>,
     known: &toml::Table,

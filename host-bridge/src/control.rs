@@ -6,9 +6,9 @@
 //!                                           └──► observers on the tap, robot
 //! ```
 //!
-//! Inputs are read in bounded portions, and outputs are sent without waiting or dropped.
-//! Therefore, no terminal, file, pipe or socket can delay a stop.
-//! When the thread ends, normally or by a panic, it halts the robot.
+//! Inputs are read in bounded portions. Outputs are sent without waiting, or dropped.
+//! No terminal, file, pipe or socket can therefore delay a stop.
+//! When the thread ends, the robot is halted, even if the thread panicked.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -26,7 +26,7 @@ use host_robot::Door;
 
 use crate::wearer::Wearer;
 
-/// Incoming bytes wake the loop at once; otherwise the loop runs at this interval.
+/// Incoming bytes wake the loop at once. Without bytes, the loop runs at this interval.
 const TURN: Duration = Duration::from_millis(2);
 /// Maximum time for reading bytes before the engine runs.
 const RECEIVE_MAX: Duration = Duration::from_millis(5);
@@ -34,7 +34,7 @@ const RECEIVE_MAX: Duration = Duration::from_millis(5);
 const STATE_INTERVAL_MS: u64 = 33;
 /// Maximum number of reports that wait to be printed.
 const REPORTS_MAX: usize = 64;
-/// Maximum number of events that wait if nobody reads reports; older ones are dropped and counted.
+/// Maximum number of events that wait if nobody reads reports. The oldest events are dropped and counted.
 const BACKLOG_MAX: usize = 1000;
 
 /// A request from the user or the program.
@@ -48,7 +48,7 @@ pub enum Order {
     Release,
     /// Only the arm's motion ends.
     EndArm,
-    /// The left hand takes control of the arm, or returns to the base.
+    /// The left hand takes control of the arm, or is returned to the base.
     Clutch,
     /// An episode begins or ends here.
     Mark(Mark),
@@ -190,7 +190,8 @@ impl<D: Door + Send + 'static> Control<D> {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Ends the session and returns the engine, or `None` if the thread panicked (the robot was halted in that case).
+    /// Ends the session and returns the engine.
+    /// The result is `None` if the thread panicked, which also halts the robot.
     pub fn end(mut self) -> Option<Engine<'static, D>> {
         self.join();
         self.result.lock().unwrap_or_else(PoisonError::into_inner).take()
@@ -254,7 +255,8 @@ impl<D: Door> Running<D> {
                 while let Some(event) = next {
                     let now_ms = work.clock.now_ms();
                     match event.news {
-                        // Bytes are processed with their time of arrival, so bytes that waited count as old.
+                        // Bytes are processed with their time of arrival.
+                        // Bytes that waited therefore count as old.
                         News::Bytes(bytes) => {
                             work.engine.receive(event.link, &bytes, now_ms);
                             if let (Hand::Right, Some(wearer)) = (event.link, &mut work.wearer) {

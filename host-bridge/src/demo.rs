@@ -19,7 +19,7 @@ const PICK_AND_PLACE: &str = include_str!("../sessions/pick-and-place/session.to
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
 const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
 
-/// Recordings of both hands, which are simulated wearers, and the script.
+/// Recordings of both hands, worn by simulated wearers, and the script.
 pub struct Demo {
     /// The left hand's converter at 100 Hz.
     pub left: AdcRecording,
@@ -33,7 +33,7 @@ impl Demo {
     /// Returns the script inside this program.
     ///
     /// # Panics
-    /// This never fails, because the files are compiled in and tested.
+    /// This never fails, because the compiled-in files are tested.
     pub fn bundled() -> Self {
         let read = "the bundled session is whole";
         Demo {
@@ -49,7 +49,7 @@ impl Demo {
     /// Fails if there is no such session. The error lists all sessions.
     ///
     /// # Panics
-    /// This never fails, because the files are compiled in and tested.
+    /// This never fails, because the compiled-in files are tested.
     pub fn named(name: Option<&str>) -> Result<Self, String> {
         let demo = Demo::bundled();
         let script = match name {
@@ -87,7 +87,7 @@ impl Demo {
     }
 }
 
-/// Returns parts of a recording in sequence: the new time in ms of each sample, and the sample's index.
+/// Returns parts of a recording in sequence. Each entry has the sample's new time in ms and its index.
 fn cut(stretches: &[[f64; 2]], samples: usize, time_ms: impl Fn(usize) -> f64) -> Vec<(f64, usize)> {
     let mut kept = Vec::new();
     let mut at_ms = 0.0;

@@ -6,7 +6,8 @@
 //! panic in any thread  ─┘                           └─► after 0.9 s without an end: the terminal is given back,
 //!                                                       and the process exits
 //! ```
-//! If SIGHUP was ignored from the start (`nohup`), it remains ignored. A terminal that hangs up still ends the input.
+//! If SIGHUP was ignored from the start (`nohup`), it stays ignored.
+//! A terminal that hangs up still ends the input.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -21,7 +22,7 @@ const PATIENCE_MS: u64 = 900;
 /// Interval of this check.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Leaves the alternate screen and shows the cursor, which the live view has changed.
+/// Undoes the live view's changes: leaves the alternate screen, and shows the cursor.
 const RESTORE: &[u8] = b"\x1b[?1049l\x1b[?25h\r\n";
 
 /// The exit code of a session that had to be terminated.
@@ -33,12 +34,13 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// From now on, makes every such end set `quit`. `screen` means that the live view uses the terminal.
+    /// From now on, every such end of the program sets `quit`.
+    /// `screen` means that the live view uses the terminal.
     ///
     /// # Errors
     /// Fails if the system does not permit signal handlers.
     pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
-        // This flag is set only by an external end, because a session that the operator ends may take its time.
+        // This flag is set only by an external end. A session that the operator ends may take its time.
         let told = Arc::new(AtomicBool::new(false));
         for signal in system::signals() {
             signal_hook::flag::register(signal, Arc::clone(quit))?;
@@ -96,7 +98,7 @@ fn watch_panics(
     }));
 }
 
-/// Restores the terminal, as far as possible without waiting for it.
+/// Restores the terminal. Steps that would have to wait for the terminal are omitted.
 fn give_terminal_back() {
     let _ = disable_raw_mode();
     system::write_at_once(RESTORE);
@@ -141,7 +143,7 @@ mod system {
     }
 }
 
-/// This code compiles, but we have not run it, because we had no Windows machine.
+/// This code compiles, but it was never run, because we had no Windows machine.
 #[cfg(not(unix))]
 mod system {
     use std::io::{self, Write as _};
@@ -153,7 +155,7 @@ mod system {
         [SIGINT, SIGTERM].into_iter()
     }
 
-    /// Windows ends the programs of a closed console itself.
+    /// Windows itself ends the programs of a closed console.
     pub fn terminal_is_gone() -> bool {
         false
     }
@@ -174,7 +176,8 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// The test below runs this function in a separate process, because the function affects the whole process.
+    /// The test below runs this function in a separate process.
+    /// The function affects the entire process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

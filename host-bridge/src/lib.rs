@@ -1,5 +1,5 @@
-//! The laptop's part of the two-hand interface: configuration, the demo, recorded sessions, and the code that connects
-//! all crates.
+//! The laptop's part of the two-hand interface: the configuration, the demo and recorded sessions.
+//! This crate also contains the code that connects all crates.
 //!
 //! ```text
 //! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → director → robot

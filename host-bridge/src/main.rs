@@ -45,6 +45,8 @@ enum Verb {
     Teach(cmd::teach::Args),
     /// Sends your own model to the right hand's board
     SendModel(cmd::send_model::Args),
+    /// Replaces the firmware of the right hand's board, over USB or Bluetooth
+    Update(cmd::update::Args),
 }
 
 fn main() -> ExitCode {
@@ -63,6 +65,7 @@ fn main() -> ExitCode {
         Some(Verb::Arm(args)) => cmd::arm::run(&args),
         Some(Verb::Teach(args)) => cmd::teach::run(&args),
         Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
+        Some(Verb::Update(args)) => cmd::update::run(&args),
     };
     match done {
         Ok(_) if models::say::lost() => ExitCode::FAILURE,

@@ -112,7 +112,8 @@ pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     Stage::new(config, Some(planner)).with_context(about)
 }
 
-/// Checks that explicitly mapped motions exist. Another arm may lack some motions of the paper's map.
+/// Checks that explicitly mapped motions exist.
+/// Other motions of the paper's map may be missing for another arm.
 pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) -> Result<()> {
     for label in mappings.iter().filter_map(|mapping| mapping.split_once('=')).map(|(label, _)| label.trim())
     {
@@ -123,7 +124,7 @@ pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) ->
     Ok(())
 }
 
-/// Returns the scene's arm: the Gen3, or an arm from a file whose path is relative to the scene.
+/// Returns the scene's arm. It is the Gen3, or an arm from a file whose path is relative to the scene.
 fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     let Some(urdf) = &scene.arm.urdf else { return Ok(SerialArm::gen3()) };
     let file = scene_file.parent().unwrap_or(Path::new("")).join(urdf);
@@ -148,7 +149,7 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Plays to the end. With `page_unasked`, a page is served in addition to the live view if a port is free.
+/// Plays to the end. With `page_unasked`, a page is also served if a port is free.
 pub fn play<D: Door>(
     session: &mut Session<'_, D>,
     options: &PlayOptions,
@@ -171,7 +172,8 @@ pub fn play<D: Door>(
         headline += &format!("\npage: {}", web.url());
     }
     let ended = Arc::new(AtomicBool::new(false));
-    // This must happen before the view uses the terminal, because an end in between would leave it in raw mode.
+    // This must happen before the view uses the terminal.
+    // An end in between would leave the terminal in raw mode.
     let _ending = Ending::watch(&ended, wants_view)?;
     let mut view = if wants_view { Some(View::open(&headline)?) } else { None };
     if view.is_none() {

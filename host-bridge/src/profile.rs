@@ -1,5 +1,5 @@
-//! Reads the section `[ros2]` of a scene, which is a profile of the robot on its graph, and writes a scene from the
-//! information on a graph.
+//! Reads the section `[ros2]` of a scene, which is the profile of a robot on its graph.
+//! This module also writes a scene from the information on a graph.
 
 use std::path::Path;
 
@@ -44,7 +44,7 @@ fn merged(own: &Ros2Config, profile: &toml::Table) -> Result<Ros2Config, String>
 /// Returns the only controller, or the one that was requested.
 ///
 /// # Errors
-/// Fails if this is not unique. The error lists the controllers and a remedy.
+/// Fails if the choice is not unique. The error lists the controllers and a remedy.
 pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, String> {
     match (controllers, asked) {
         (_, Some(asked)) => {

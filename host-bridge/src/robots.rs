@@ -11,6 +11,8 @@ use host_robot::{
 use host_sim::{SimConfig, Simulator};
 
 use crate::config::Config;
+use crate::ros2::Ros2Config;
+use crate::ros2::sightings::Watched;
 
 /// The robot's surroundings and the motions of its arm.
 #[derive(Clone, Debug)]
@@ -32,11 +34,14 @@ impl Stage {
         let Some(planner) = planner else {
             let arm = host_arm::model::SerialArm::gen3();
             let motions = Motions::new(&arm, &[], &config.pose, &config.motion)?;
+            motions.check_objects(&[])?;
             return Ok(Stage { motions, planner: None, limits: config.arm_limits() });
         };
         let world = planner.world();
         let tables = [&world.scene().motions[..], &config.motion].concat();
         let motions = Motions::new(world.arm(), planner.goals(), &config.pose, &tables)?;
+        let objects: Vec<&str> = world.scene().objects.iter().map(|object| object.name.as_str()).collect();
+        motions.check_objects(&objects)?;
         Ok(Stage { motions, limits: *planner.limits(), planner: Some(Arc::new(planner)) })
     }
 
@@ -46,6 +51,17 @@ impl Stage {
     /// This never fails, because the bundled motions fit the bundled arm and are tested.
     pub fn bare() -> Self {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
+    }
+
+    /// Tells the node which topics the motions need, and what the frame of the arm's base is called.
+    pub fn tell(&self, ros2: &mut Ros2Config) {
+        ros2.watched = Watched {
+            topics: self.motions.topics(),
+            arm_root: match &self.planner {
+                None => host_arm::model::SerialArm::gen3().root_link,
+                Some(planner) => planner.world().arm().root_link.clone(),
+            },
+        };
     }
 
     /// Returns the name of the arm and its number of joints.
@@ -83,7 +99,7 @@ impl Stage {
     }
 }
 
-/// The simulator as a robot whose speed commands are also published on a graph.
+/// The simulator as a robot, combined with a graph on which its speed commands are also published.
 pub struct Echoed<R> {
     /// The robot.
     pub simulator: Simulator,

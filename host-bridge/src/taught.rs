@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Number of decimals, which corresponds to about a micrometre at the tip of an arm.
+/// Number of decimals. It corresponds to about a micrometre at the tip of an arm.
 const DIGITS: usize = 6;
 
 /// The pose cannot be written.
@@ -24,7 +24,7 @@ pub enum TaughtError {
     ByPlace(String),
 }
 
-/// Returns the text with this pose: an existing one gets new angles, and a new one is appended.
+/// Returns the text with this pose. An existing pose gets new angles, and a new pose is appended.
 ///
 /// # Errors
 /// Returns [`TaughtError`]. The file's text is unchanged in this case.
@@ -53,7 +53,7 @@ fn quoted(name: &str) -> String {
     toml::Value::String(name.to_owned()).to_string()
 }
 
-/// Returns the position of the angles of the pose with this name.
+/// Finds the pose with this name, and returns the position of its angles in the text.
 fn place(text: &str, name: &str) -> Result<Option<Range<usize>>, TaughtError> {
     let table = DeTable::parse(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);

@@ -11,7 +11,7 @@ const REST_RAD_S: f64 = 0.02;
 const RESTED_MS: u64 = 500;
 const NOISE_RAD: f64 = 0.002;
 
-/// Waits for an arm at rest. Some drivers report no speeds, so its angles must be constant for some time.
+/// Waits for an arm at rest. Some drivers report no speeds, so the angles must be constant for some time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rest {
     since: Option<(Joints, u64)>,
@@ -54,7 +54,8 @@ pub enum Played {
     Interrupted,
 }
 
-/// A single motion: waits for the robot, requests the motion once, and halts the robot if there is any problem.
+/// Plays a single motion. It waits for the robot, and requests the motion once.
+/// If there is a problem, it halts the robot.
 #[derive(Clone, Debug)]
 pub struct Play {
     motion: MotionName,
@@ -71,7 +72,8 @@ impl Play {
         Play { motion, farewell_ms, began_ms: None, started: false, halted: None }
     }
 
-    /// Performs one turn; `interrupted` halts the robot. Messages go to `note`. Returns the result at the end.
+    /// Performs one turn; `interrupted` halts the robot. Messages are passed to `note`.
+    /// Returns the result at the end.
     pub fn turn<R: Robot>(
         &mut self,
         door: &mut Director<R>,
@@ -131,7 +133,7 @@ impl Play {
             };
         }
         let waited = now_ms.saturating_sub(began_ms) >= SEARCH_MS;
-        let is_ready = refusal.is_none() && door.robot().can_follow().is_ok();
+        let is_ready = refusal.is_none() && door.robot().can_follow().is_ok() && door.has_seen(&self.motion);
         if !is_ready && !waited {
             return None;
         }

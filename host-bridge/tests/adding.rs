@@ -19,7 +19,7 @@ mod moving;
 
 use moving::{Virtual as _, live_before, pose};
 
-/// A robot in thirty lines: it reaches every commanded position immediately and stops when commands end.
+/// A robot in thirty lines. It reaches every commanded position immediately, and stops when commands end.
 struct Puppet {
     limits: JointLimits,
     base: BaseConfig,
@@ -134,7 +134,8 @@ fn a_motion_and_a_pose_in_the_configuration_are_carried_out_without_a_change_of_
     assert_eq!(robot.arm().joints_rad, Motions::paper().pose("pick-up").unwrap());
 }
 
-/// Context and removed lines of each diff must exist in the sources, otherwise the document is out of date.
+/// Context lines and removed lines of each diff must exist in the sources.
+/// Otherwise, the document is out of date.
 #[test]
 fn the_diffs_of_the_document_fit_the_sources() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

@@ -77,7 +77,7 @@ fn several_right_recordings_are_joined_into_one_stream() {
     assert!((report["seconds"].as_f64().unwrap() - 168.0).abs() < 2.0);
 }
 
-/// Each kind of damage causes an error with its location, a non-zero exit code, and an empty stdout.
+/// Each kind of damage must cause an error with its location, a non-zero exit code, and an empty stdout.
 #[test]
 fn bad_input_names_file_line_and_column_and_moves_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -77,7 +77,7 @@ fn papers_rows(summary: &Summary) {
         let gesture = started.expect("a gesture started it");
         let here_s = (pose.time_ms - gesture.time_ms) as f64 / 1000.0;
         println!(
-            "paper: demo: {} to {} reached | {paper_s:.1} s from home | {here_s:.1} s",
+            "paper: demo: time from {} until {} is reached | {paper_s:.1} s from home | {here_s:.1} s",
             gesture.label, pose.motion
         );
     }
@@ -85,12 +85,12 @@ fn papers_rows(summary: &Summary) {
     let wheels = summary.latency.sample_to_wheels;
     let ms = |value: Option<u64>| value.map_or_else(|| "–".to_owned(), |ms| ms.to_string());
     println!(
-        "paper: demo: end of a gesture's last window to the arm, median and worst | not stated | {} and {} ms",
+        "paper: demo: time from a gesture's last window until the arm starts, median and maximum | not stated | {} and {} ms",
         ms(arm.median_ms),
         ms(arm.worst_ms)
     );
     println!(
-        "paper: demo: left hand's sample to the wheels, median and worst | not stated | {} and {} ms",
+        "paper: demo: time from the left hand's sample until the wheels react, median and maximum | not stated | {} and {} ms",
         ms(wheels.median_ms),
         ms(wheels.worst_ms)
     );
@@ -129,7 +129,8 @@ fn the_same_session_gives_the_same_summary() {
 fn the_demo_session_can_be_made_again() {
     let files = make_demo_session::files();
     assert!(files == make_demo_session::files(), "the same bytes each time");
-    // The sine of another machine may be rounded differently, so the last digit may differ from the committed files.
+    // Another machine may round the sine differently.
+    // The last digit may then differ from the committed files.
     for (name, made) in files {
         let kept = committed(name);
         assert_eq!(made.lines().count(), kept.lines().count(), "{name}: run the example again");
@@ -183,7 +184,7 @@ fn a_map_changes_what_a_gesture_does() {
     assert_eq!(*outcome, GestureOutcome::Started("place".into()));
 }
 
-/// A board with a bad cable: one byte in a thousand is damaged, and one in ten thousand is lost.
+/// A board with a bad cable. One byte in a thousand is damaged, and one in ten thousand is lost.
 struct BadCable<B> {
     board: B,
     state: u32,
@@ -236,8 +237,9 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     println!("{frames:?}");
     let (left, right) = (frames.left.unwrap(), frames.right.unwrap());
     assert!(left.damaged > 50 && right.damaged > 20);
-    // Two frames that a damaged delimiter has joined count as one damaged frame.
-    // The damaged frames that do not count as lost are ping replies and status frames, which have no sequence number.
+    // Two frames that a damaged delimiter has joined count as a single damaged frame.
+    // Damaged frames that do not count as lost are ping replies and status frames.
+    // Ping replies and status frames have no sequence number.
     let unnumbered = summary.seconds as u32 * 11;
     assert!(left.lost > 20 && left.lost + unnumbered / 20 >= left.damaged, "{left:?}");
     assert!(right.lost > 10 && right.lost + unnumbered / 20 >= right.damaged, "{right:?}");

@@ -41,7 +41,7 @@ fn the_description_read_back_is_the_arm_on_its_base_and_moves_as_it_does() {
     }
     for (one, two) in read.joints.iter().zip(&arm.joints) {
         assert_eq!((&one.name, one.limit_rad), (&two.name, two.limit_rad));
-        // The shape consists of a cylinder and two spheres, which together reach from one end to the other.
+        // The shape consists of a cylinder and two spheres. Together, they reach from one end to the other.
         let ends = one.shapes.iter().map(|shape| (shape.a_m - two.shapes[0].b_m).length());
         assert!(ends.fold(f64::INFINITY, f64::min) < 1e-9, "{}", one.name);
     }

@@ -90,7 +90,7 @@ fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
     let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.press(FORWARD);
     rig.run(400);
-    // The laptop was suspended, so the robot's own timeout takes effect before the next step.
+    // The laptop was suspended. The robot's own timeout therefore takes effect before the next step.
     rig.now_ms += 3000;
     rig.run(1);
     assert!(rig.live.door().at_rest());
@@ -205,7 +205,7 @@ fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
     let frame = shared_proto::frame::encode_board(&message, &mut buffer).unwrap();
     live.receive(Hand::Left, frame, 1005);
     assert!(told(&mut live, 5000, true).is_empty());
-    // The board must not remain in record mode either.
+    // The board must also not remain in record mode.
     live.advance(7000, [true; 2]);
     let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
     let frames = live.take_outgoing(Hand::Left).concat();
@@ -225,7 +225,7 @@ fn send_hello(wire: &mut Vec<u8>) {
     keys.step(0, wire);
 }
 
-/// Returns the vibration signals that a right board with this minor version receives at its start and at a stop.
+/// Returns the vibration signals of a right board with this minor version at its start and at a stop.
 fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
     let mut config = Config::default();
     config.vibration.wired = wired;

@@ -1,4 +1,5 @@
-//! Tests the first minute: an unknown wearer shows each gesture three times, and the board gets a model of their hand.
+//! Tests the first minute. An unknown wearer shows each gesture three times.
+//! The board then gets a model of this hand.
 //! The tests run in virtual time, with the boards' own code and simulated wearers.
 
 use std::path::Path;
@@ -80,7 +81,7 @@ struct Desk {
     engine: Engine<'static, Robot>,
     wearer: Wearer,
     hand: Simulated,
-    /// The next samples of the hand, which is at rest if there are none.
+    /// The next samples of the hand. The hand is at rest if there are none.
     next: std::collections::VecDeque<[f32; 9]>,
     /// Performs the gesture that the program asks for.
     obeys: bool,
@@ -225,7 +226,7 @@ fn who_shows_three_of_each_gets_a_model_that_is_kept_and_moves_nothing_meanwhile
     assert_eq!(desk.engine.door().picture().arm.joints_rad, arm);
     assert!(!desk.events[since..].iter().any(|event| matches!(event, SessionEvent::Marked { .. })));
 
-    // The wearer shows six gestures, three times each, and gets a model under her name.
+    // The wearer shows six gestures, each three times, and gets a model under her name.
     let home = folder.path().join("wearers/ada");
     let recordings = Dataset::read(&home.join("recordings"), None).unwrap();
     assert_eq!((recordings.items.len(), recordings.labels.len()), (18, 6));
@@ -248,7 +249,7 @@ fn who_shows_three_of_each_gets_a_model_that_is_kept_and_moves_nothing_meanwhile
     }
     assert!(right >= 5, "{right} of 6 gestures of hers make exactly one right event");
 
-    // On another day with another board, the stored model is offered, and nothing needs to be shown.
+    // On another day, another board is used. The stored model is offered, and nothing needs to be shown.
     let mut desk = Desk::new(bundled(), settings(folder.path(), Some("ada")));
     let offer = desk.until("not that of ada");
     assert_eq!(offer.button, Some("send the kept model"));
@@ -318,7 +319,7 @@ fn where_board_or_model_cannot_the_wearer_is_told_what_to_do() {
     let told = desk.until("no gestures can be shown");
     assert!(told.text.contains("needed beside the model"), "{told:?}");
 
-    // Nothing can be stored, because a file is in the place of the folder.
+    // Nothing can be stored, because a file is in the folder's place.
     let blocked =
         Settings { name: Some("ada".to_owned()), folder: folder.path().join("a-file"), model: None };
     std::fs::write(&blocked.folder, "").unwrap();

@@ -1,5 +1,5 @@
 //! Tests the Foxglove server on loopback sockets.
-//! The advertised channels must match those of a session file, and the messages must match the simulator's state.
+//! The advertised channels must match those of a session file. The messages must match the simulator's state.
 //! The test also checks which clients may connect.
 //! `tests/foxglove/check.py` runs similar checks with third-party packages.
 
@@ -123,7 +123,8 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
         { "id": 41, "channelId": named("/odom") }, { "id": 42, "channelId": named("/joint_states") } ] });
     socket.send(Message::text(wish.to_string())).unwrap();
 
-    // Nothing indicates when the subscription takes effect, so the session runs until enough messages have arrived.
+    // Nothing shows when the subscription takes effect.
+    // The session therefore runs until enough messages have arrived.
     let mut now_ms = 500;
     live.press(HandKey::Arrow(Heading::Forward), now_ms);
     live.press(HandKey::Gesture(2), now_ms);
@@ -227,8 +228,8 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
         assert!(began.elapsed() < PATIENCE, "the subscription takes effect");
         pass(100);
     }
-    // If the session waited for a client, this loop would never end, because its data
-    // far exceeds the capacity of the sockets and the queue.
+    // If the session waited for a client, this loop would never end.
+    // The data far exceeds the capacity of the sockets and the queue.
     pass(100_000);
     let lost = (0..1_000_000).find_map(|_| match socket.read().unwrap() {
         Message::Text(text) if text.as_str().contains("too slow for") => Some(text.to_string()),

@@ -1,4 +1,5 @@
-//! Tests a gripper on the ROS 2 graph that does not carry out its commands, and halts during a motion of several steps.
+//! Tests a gripper on the ROS 2 graph that does not execute its commands.
+//! Also tests halts during a motion of several steps.
 //! In both cases, the remaining steps must be cancelled and reported.
 //! The tests run in virtual time, with a robot whose replies the test provides.
 
@@ -117,7 +118,7 @@ impl Site {
     fn arrive(&mut self) {
         let (goal, there) = self.goal().unwrap();
         self.answer_arm(goal, Answer::Accepted);
-        // The arm moves at a realistic speed, because a jump in its position would be rejected.
+        // The arm moves at a realistic speed. A jump in its position would be rejected.
         let from = self.joints_rad;
         for k in 1..=100 {
             let share = f64::from(k) / 100.0;
@@ -245,7 +246,7 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
     let steps = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"ready\" }, { gripper = \"close\" }, { wait_s = 2 }, \
                  { to = \"home\" }]\n";
     let holds: [(&str, Hold); 3] = [
-        // The guard no longer has the position of the base and therefore stops everything.
+        // The guard no longer has the position of the base, and therefore stops everything.
         ("its base is lost", |site| site.tells_base = false),
         ("a stop", |site| site.door.halt()),
         ("the arm's own end", |site| site.door.halt_arm()),
@@ -296,14 +297,15 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
 
 #[test]
 fn fingers_of_which_nobody_tells_count_open_and_shut() {
-    // The fingertips reach 13 mm further when closed than when open. The shelf lies between these two positions.
+    // Closed fingertips reach 13 mm further than open fingertips. The shelf lies between these two positions.
     let arm = SerialArm::gen3();
     let flange = arm.flange_pose(&HOME);
     let tip = |z_m: f64| {
         flange.at(host_bridge::robot::DVec3::new(0.0, 0.0, z_m))
             + host_bridge::robot::DVec3::new(0.1, 0.0, 0.4)
     };
-    // Open fingers end 161 mm from the flange, and closed ones 175 mm. The post stands in front of the arm's target.
+    // Open fingers end 161 mm from the flange, and closed fingers 175 mm.
+    // The post stands in front of the arm's target.
     let at = tip(0.183).to_array();
     let mut beside = HOME;
     beside[0] += 0.7;

@@ -1,5 +1,6 @@
-//! A hand moves the tool: the clutch, the dead-man, limits and guard. The hand's tilt is judged as its board does it, at 100 Hz;
-//! states go out at 50 Hz. All in virtual time.
+//! Tests jogging, in which a hand moves the tool: the clutch, the dead-man, the limits and the guard.
+//! The board's rules evaluate the tilt of the hand at 100 Hz, and states are sent at 50 Hz.
+//! All tests run in virtual time.
 
 mod support;
 
@@ -16,7 +17,7 @@ use support::{Rig, Virtual as _, moving};
 
 /// The label of the clutch among the rig's.
 const CIRCLE: u8 = 6;
-/// v/a at the paper's scaling, and the frame in flight.
+/// The braking time v/a with the paper's speed and acceleration limits, plus the transit time of one frame.
 const BRAKING_MS: u64 = 326 + 20;
 
 struct Wearer {
@@ -25,7 +26,7 @@ struct Wearer {
 }
 
 impl Wearer {
-    /// Both hands neutral and armed, before this robot.
+    /// Creates a wearer with both hands neutral and armed, in front of this robot.
     fn before(robot: support::Robot, jog: &str) -> Self {
         let config = Config::parse(&format!("[jog]\nlabel = 'circle'\nkey = 'j'\n{jog}")).unwrap();
         let mut rig = Rig::empty();
@@ -45,7 +46,7 @@ impl Wearer {
         Wearer::before(support::bare(), "")
     }
 
-    /// The same with the left hand lent to the arm, and armed.
+    /// Creates the same wearer with the left hand lent to the arm, and armed.
     fn jogging() -> Self {
         let mut wearer = Wearer::new();
         wearer.clutch();
@@ -54,12 +55,12 @@ impl Wearer {
         wearer
     }
 
-    /// The right hand draws the clutch's gesture, and rests again.
+    /// The right hand draws the gesture of the clutch, and rests again.
     fn clutch(&mut self) {
         self.rig.gesture(CIRCLE);
     }
 
-    /// Tilted so far, in milliradians, for this long.
+    /// Keeps this tilt, in milliradians, for this duration in ms.
     fn hold(&mut self, pitch_mrad: i16, roll_mrad: i16, ms: u64) {
         for _ in 0..ms / 10 {
             self.tilt(pitch_mrad, roll_mrad);
@@ -110,7 +111,7 @@ fn the_clutch_lends_the_left_hand_after_neutral_and_tilts_move_the_tool_while_th
     assert_eq!(wearer.rig.robot.odometry().path_m, driven_m, "the base stood still");
     assert!(wearer.arm_rests() && wearer.rig.robot.picture().jog_held.is_none());
 
-    // Back: neutral first, and then the base drives again.
+    // The hand is returned: first it is neutral, and then the base drives again.
     wearer.clutch();
     assert_eq!(wearer.rig.take_outcomes(), [GestureOutcome::TakenBack]);
     let there = wearer.rig.robot.arm().joints_rad;
@@ -129,7 +130,7 @@ fn bends_move_the_tool_up_and_down_and_change_no_cap() {
     wearer.rig.left.index_bends += 2;
     wearer.hold(0, 0, 2000);
     let up = wearer.flange().position_m;
-    // Twice half a second at 3 cm/s, less what it takes to get up to speed.
+    // The expected distance is twice half a second at 3 cm/s, minus the loss until that speed is reached.
     let way = up - before;
     println!("two bends: {way:.4} m");
     assert!((0.015..0.035).contains(&way.z) && way.x.hypot(way.y) < 0.003, "{way}");
@@ -145,7 +146,7 @@ fn bends_move_the_tool_up_and_down_and_change_no_cap() {
 fn whatever_holds_a_hand_or_the_robot_back_brakes_the_arm_within_its_limits_and_needs_neutral() {
     type Step = fn(&mut Wearer);
     let nothing: Step = |_| {};
-    // What begins, what ends, how long it takes to be noticed, and whether the hand is still lent then.
+    // Each fault: its start, its end, the time until it is noticed, and whether the hand is still lent then.
     let faults: [(&str, Step, Step, u64, bool); 11] = [
         ("the right hand does not rest", |w| w.rig.right.top = 2, |w| w.rig.right.top = 0, 0, true),
         ("the left hand is silent", |w| w.rig.talking.left = false, |w| w.rig.talking.left = true, 250, true),
@@ -195,7 +196,7 @@ fn whatever_holds_a_hand_or_the_robot_back_brakes_the_arm_within_its_limits_and_
 
 #[test]
 fn an_arm_that_the_clutch_lets_go_of_brakes_at_once() {
-    // From the decision to the first millisecond in which the arm is slower, and to rest.
+    // Times from the decision to the first millisecond in which the arm is slower, and to rest.
     let (mut worst_ms, mut rest_ms) = (0, 0);
     for tilted_ms in (300..1500).step_by(130) {
         let mut wearer = Wearer::jogging();
@@ -244,7 +245,7 @@ fn without_a_dead_man_or_before_a_busy_arm_the_hand_is_not_lent() {
     assert!(!alone.rig.bridge.is_jogging() && refusal(&alone).unwrap().contains("dead-man"));
     assert_eq!(alone.rig.state(), State::Armed, "and nothing is halted");
 
-    // An arm that is on its way goes on.
+    // An arm whose motion is already running continues.
     let mut wearer = Wearer::new();
     wearer.rig.gesture(2);
     wearer.hold(0, 0, 1000);
@@ -252,7 +253,7 @@ fn without_a_dead_man_or_before_a_busy_arm_the_hand_is_not_lent() {
     assert!(!wearer.rig.bridge.is_jogging() && refusal(&wearer).unwrap().contains("busy with pick-up"));
     assert!(!wearer.arm_rests());
 
-    // Without a clutch in the configuration there is none.
+    // Without a clutch in the configuration, the clutch has no effect.
     let mut rig = Rig::armed();
     let now_ms = rig.now_ms;
     rig.bridge.clutch_key(now_ms, &mut rig.robot);
@@ -270,7 +271,7 @@ fn other_gestures_start_nothing_while_the_hand_is_lent() {
     assert!(wearer.rig.robot.arm().running.is_none());
 }
 
-/// Watches one millisecond after the other.
+/// Checks the robot from one millisecond to the next.
 struct Watch {
     limits: JointLimits,
     joints_rad: Joints,
@@ -382,7 +383,7 @@ fn hands_at_random_jog_in_a_scene_within_all_limits_and_touch_nothing() {
                 _ => {}
             }
             let seen = [run(&mut wearer, &mut watch, tilt, 100 + random.below(4000)), {
-                // Whatever it was is over, and the hands are neutral.
+                // The fault is over, and the hands are neutral.
                 wearer.rig.right.top = 0;
                 wearer.rig.talking = [true; 2].into();
                 run(&mut wearer, &mut watch, [0, 0], 160)
@@ -407,7 +408,7 @@ fn hands_at_random_jog_in_a_scene_within_all_limits_and_touch_nothing() {
     );
     assert_eq!(jumps, 0);
     assert!(nearest_m > 0.001, "{nearest_m}");
-    // They did something, and came near.
+    // The hands moved the tool, and came close to an obstacle.
     assert!(
         u64::from(moved_ms) > seconds * 150 && nearest_m < 0.02 && path_m > 0.02 * seconds as f64 && held > 0
     );
@@ -418,7 +419,7 @@ fn without_a_scene_a_hand_cannot_move_the_arm_into_the_robot_itself_or_the_floor
     let world = World::new(SerialArm::gen3(), Scene::default());
     let around = world.around(Placement::default());
     let mut held_by = Vec::new();
-    // First out of the way, and then down, and back towards the robot.
+    // The tool first moves out of the way, and then down and back towards the robot.
     for (first, then) in [([0, 698], [-300, 0]), ([0, 698], [-300, -300]), ([0, -698], [0, 500])] {
         let mut wearer = Wearer::before(support::bare(), "speed_m_s = 0.2\nlift_m_s = 0.2\nbend_ms = 1000\n");
         wearer.clutch();
@@ -453,7 +454,7 @@ fn without_a_scene_a_hand_cannot_move_the_arm_into_the_robot_itself_or_the_floor
         assert!(notes.len() <= 50, "one a second at most: {}", notes.len());
         held_by.extend(notes.into_iter().cloned());
     }
-    // Not by joints' limits alone, and it says by what.
+    // Obstacles held the tool too, and not only the joints' limits. The message names the obstacle.
     assert!(held_by.iter().any(|text| text.contains(" m from the base")), "{held_by:?}");
     assert!(!held_by.iter().any(|text| text.contains("inf")), "{held_by:?}");
 }

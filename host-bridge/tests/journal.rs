@@ -1,4 +1,4 @@
-//! Tests session files: they must be complete, and remain readable after a crash or a full disk.
+//! Tests session files. They must be complete, and must remain readable after a crash or with a full disk.
 #![cfg(feature = "mcap")]
 
 use std::io::{self, BufRead as _, BufReader};
@@ -134,8 +134,8 @@ fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(summary.events.len() > 10);
         assert_eq!(summary.stops, 1);
     });
-    // The counts follow from rates of 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s, and from the samples of both
-    // hands.
+    // The counts follow from rates of 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s.
+    // The samples of both hands are counted too.
     let counted = |topic: &str| again.messages.get(topic).copied().unwrap_or_default();
     let topics = ["/joint_states", "/odom", "/tf", "/cmd_vel", "/hands/state"].map(counted);
     assert_eq!(topics, [3000, 1500, 1500, 1500, 600]);
@@ -174,7 +174,8 @@ fn planned_motions_are_the_same_too() {
     assert!(text.contains("Started("), "an arm motion was among it: {text}");
 }
 
-/// Runs a live session: keys for both hands, irregular time steps, pings, a stop with its release, and a pause.
+/// Runs a live session with keys for both hands, irregular time steps and pings.
+/// The session also contains a stop with its release, and a pause.
 fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, Disk) {
     let mut config = Config::default();
     config.speed.start = 0.3;
@@ -249,7 +250,7 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
             live.press(HandKey::Gesture(2), now_ms);
         }
         if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
-            // The planner's thread gets time to plan; the session's time stands still meanwhile.
+            // The planner's thread gets time to plan. The session's time stands still meanwhile.
             let since_ms = *planned_ms.get_or_insert(now_ms);
             let began = Instant::now();
             while now_ms == since_ms + 500 && !live.door().plan_is_ready() {
@@ -279,7 +280,7 @@ fn a_session_in_which_a_hand_moved_the_tool_is_the_same_from_its_file() {
     let mut lent_ms = 0;
     for now_ms in (80..15_000).step_by(2) {
         match now_ms {
-            // The left hand is lent to the arm by a gesture, and returned to the base by a key.
+            // A gesture lends the left hand to the arm, and a key returns it to the base.
             2_000 => live.press(HandKey::Gesture(6), now_ms),
             6_000 | 6_500 | 6_700 | 12_500 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
             8_000 => live.press(HandKey::Faster, now_ms),
@@ -325,7 +326,7 @@ fn marks_by_gesture_key_and_page_are_in_the_file_and_make_its_episodes() {
             2_000 => live.press(HandKey::Gesture(6), now_ms),
             4_000 => live.press(HandKey::Gesture(3), now_ms),
             5_000 => live.mark(Mark::Begin, MarkedBy::Key, now_ms),
-            // The episode is marked again, first by gesture and then on the page.
+            // The episode is marked again, first with a gesture and then on the page.
             5_500 => live.press(HandKey::Gesture(2), now_ms),
             6_500 => live.mark(Mark::Again, MarkedBy::Page, now_ms),
             7_500 => live.mark(Mark::Good, MarkedBy::Key, now_ms),
@@ -374,13 +375,13 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
     let memory = Memory::of_size(usize::MAX);
     recorded_demo(&setup(), 10_000, None, &memory);
     let file = memory.file();
-    // This reader does not verify chunk checksums, so the content itself must reveal the damage.
+    // This reader does not verify checksums of chunks, so the content itself must reveal the damage.
     let name = b"left_wheel\0";
     let joints: Vec<usize> =
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
     assert!(joints.len() > 900);
     let mut changed = file;
-    // In the record, the number follows both names and the count.
+    // In the record, the number follows both names and their count.
     let at = joints[800];
     let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
     let count = (after..).find(|&i| changed[i] == 9).unwrap();
@@ -490,7 +491,7 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     program.args(["demo", "--headless", "--speed", "1", "--record"]).arg(&file);
     let mut child = program.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // Events are printed immediately, so the first event after 3 s shows when to kill the program.
+    // Events are printed immediately. The first event after 3 s therefore shows when to kill the program.
     let mut seen_s = 0.0;
     for line in lines {
         let line = line.unwrap();

@@ -1,5 +1,5 @@
-//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that
-//! follows from their limits.
+//! Moves base and arm at random in a scene. Neither may touch an obstacle.
+//! Both must stop within the time that follows from their limits.
 
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::Twist;
@@ -62,7 +62,7 @@ fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
         robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
-    // The wall's surface is at 1.9 m, and the base's front is 0.3 m ahead of its centre.
+    // The wall's surface is at 1.9 m. The base's front is 0.3 m ahead of its centre.
     let stopped_m = robot.odometry().x_m;
     assert!((1.57..1.6).contains(&stopped_m), "{stopped_m}");
     assert!(robot.at_rest());

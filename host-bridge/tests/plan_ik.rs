@@ -1,5 +1,6 @@
-//! Tests inverse kinematics: which poses it solves or rejects, and how many solver steps each case takes.
-//! The times are processor times of this thread, which are printed but not checked:
+//! Tests inverse kinematics: which poses it solves or rejects.
+//! The test also measures how many steps the solver takes in each case.
+//! The test prints the processor times of this thread, but does not check them:
 //! `cargo test --release -p host-bridge --test plan_ik -- --nocapture`.
 
 #[path = "support/cpu.rs"]
@@ -95,7 +96,7 @@ fn a_place_that_no_angles_reach_or_that_is_blocked_ends_with_the_budget_and_alwa
     let arm = SerialArm::gen3();
     // The position is within reach, but the tool's orientation would require the elbow to pass through the arm.
     let folded = Pose { position_m: DVec3::new(0.05, 0.0, 0.42), rotation: arm.flange_pose(&HOME).rotation };
-    // This position is reachable, but it is inside a box that every solution touches.
+    // This position is within reach, but it is inside a box that every solution touches.
     let scene = "[[box]]\nname = \"crate\"\ncenter_m = [0.65, 0.0, 0.75]\nsize_m = [0.5, 0.5, 0.5]";
     let world = World::new(arm.clone(), Scene::parse(scene).unwrap());
     let around = world.around(Placement::default());

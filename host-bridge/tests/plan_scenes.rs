@@ -1,7 +1,7 @@
-//! Plans motions where the straight path is blocked: three scenes, six poses each, all ordered pairs, many seeds.
+//! Plans motions whose straight path is blocked: three scenes, six poses each, all ordered pairs, many seeds.
 //! The arm executes each plan in virtual time, and the test checks it every 10 ms.
 //!
-//! `BIMANUAL_FULL=1` runs 34 seeds per pair. The times are processor times, which are printed but not checked.
+//! `BIMANUAL_FULL=1` runs 34 seeds per pair. Processor times are printed but not checked.
 //! `tests/mujoco/check.py` checks the same motions with an independent physics engine.
 
 #[path = "support/cpu.rs"]

@@ -1,5 +1,6 @@
 //! Prints the table of motions for all ordered pairs of named poses.
-//! Each row compares the paper's path via home with the planned path: shortest clearance and end-point error.
+//! Each row compares two paths, the paper's path via home and the planned path.
+//! It contains the shortest clearance and the end-point error of each.
 
 use host_bridge::arm::gen3::MAX_JERK_RAD_S3;
 use host_bridge::arm::model::SerialArm;
@@ -95,7 +96,8 @@ fn all_pairs_of_motions_via_home_and_direct() {
                 ends.iter().map(|end| end.1).fold(0.0, f64::max)
             );
             assert!(ends[1].0 <= ends[0].0 + 1e-9, "the direct way is never slower");
-            // For a move that reaches cruise speed, the jerk limit adds the time that 0.43 rad/s² takes to build up.
+            // For a move that reaches cruise speed, the jerk limit adds a fixed time.
+            // It is the time in which 0.43 rad/s² builds up.
             assert!((ends[2].0 - ends[1].0 - 0.43 / MAX_JERK_RAD_S3).abs() < 0.02, "{ends:?}");
             assert!(clearances_m.iter().all(|clearance_m| *clearance_m > 0.02));
             sum_home_s += ends[0].0;

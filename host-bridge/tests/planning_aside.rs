@@ -1,5 +1,6 @@
-//! Motions that are planned beside the control thread: what stops the robot throws the plan away, a plan that is late or that no
-//! longer fits is not begun, and a session from its file is the same.
+//! Tests motions that are planned beside the control thread.
+//! Whatever stops the robot discards the plan. A plan that is late or no longer fits is not begun.
+//! A session that is replayed from its file gives the same result.
 
 mod support;
 
@@ -29,7 +30,7 @@ fn goal(robot: &Robot) -> MotionName {
     MotionName::from(last.expect("the scene has poses").as_str())
 }
 
-/// Until the thread is done; how long that takes is asserted nowhere.
+/// Waits until the thread has finished. No test checks how long this takes.
 fn planned(robot: &Robot) {
     let began = Instant::now();
     while !robot.plan_is_ready() {
@@ -82,7 +83,7 @@ fn what_stops_the_arm_while_it_is_planned_throws_the_plan_away() {
         robot.begin_planned();
         alive(&mut robot, 500);
         assert!(robot.at_rest());
-        // And the next one is planned as ever.
+        // The next motion is planned as usual.
         robot.start_motion(&goal).unwrap();
         planned(&robot);
         robot.begin_planned();
@@ -131,7 +132,7 @@ fn a_motion_without_a_way_is_refused_with_its_reason_when_that_is_known() {
     assert!(rig.robot.at_rest() && rig.robot.picture().arm.running.is_none());
 }
 
-/// Why a motion was not begun, if one was not.
+/// Returns the reason why a motion was not begun, if there was such a case.
 fn refusal(robot: &mut Robot) -> Option<String> {
     robot.take_reports().into_iter().find_map(|report| match report {
         Report::MotionRefused { reason, .. } => Some(reason),
@@ -222,7 +223,7 @@ fn a_plan_for_other_fingers_is_not_begun() {
         format!("[[tool]]\nname = \"2f-85\"\n[[pose]]\nname = \"aside\"\njoints_rad = {:?}\n", &there[..7]);
     let planner = Planner::new(SerialArm::gen3(), Scene::parse(&scene).unwrap()).unwrap();
     let mut robot = moving::in_scene(planner).planning_held();
-    // Until the gripper has said how far its fingers are apart.
+    // Waits until the gripper has reported the distance between its fingers.
     alive(&mut robot, 20);
     robot.start_motion(&MotionName::from("aside")).unwrap();
     robot.robot_mut().grip(Grip { opening_m: 0.02, effort_n: None, between_m: None }).unwrap();

@@ -1,7 +1,7 @@
 //! Tests driving with a speed that is proportional to the tilt.
 //! The rules for silence, neutral, stops and the guard are the same as for four headings. The base also drives arcs.
 //!
-//! The tilt is judged at 100 Hz by the board's code, and states are sent at 50 Hz.
+//! The board's code evaluates the tilt at 100 Hz, and states are sent at 50 Hz.
 
 mod support;
 
@@ -16,7 +16,7 @@ use shared_dsp::left::tilt::{Tilt, TiltDetector};
 use shared_proto::message::{Heading, TiltThresholds};
 use support::{Rig, Virtual as _, moving};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The additional time is a margin for the frame in transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The remaining time is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 /// Caps at the start of a session, in m/s and rad/s.
@@ -55,7 +55,7 @@ impl Wearer {
     }
 }
 
-/// Returns the fraction of the cap according to the default rules, which apply between 140 and 698 mrad.
+/// Returns the fraction of the cap by the default rules, which apply between 140 and 698 mrad.
 fn share(mrad: i16) -> f64 {
     f64::from(mrad - 140) / 558.0
 }
@@ -80,7 +80,7 @@ fn the_base_drives_a_figure_of_eight_by_tilts_alone() {
     }
     wearer.hold(0, 0, 1000);
     let end = wearer.rig.robot.odometry();
-    // Each point is on one of two circles that touch at the start.
+    // Each point must be on one of two circles that touch each other at the start.
     // The tolerance covers the time to reach full speed and to change direction.
     let off = |x: f64, y: f64, side: f64| (x.hypot(y - side * radius_m) - radius_m).abs();
     let worst_m =

@@ -33,7 +33,7 @@ struct Watch {
     joints_rad: [f64; JOINTS],
     velocity_rad_s: [f64; JOINTS],
     wheels_rad_s: [f64; 2],
-    /// Time after which no motion may start, and maximum braking time from then on.
+    /// Time from which no motion may start, and the maximum braking time after it.
     halted: Option<(u64, f64)>,
 }
 
@@ -78,7 +78,7 @@ impl Watch {
             });
             let since_ms = rig.now_ms - since_ms;
             if rig.robot.at_rest() {
-                // After braking the robot stays at rest, because no motion may start while it is not armed.
+                // After braking, the robot stays at rest, because no motion may start while it is not armed.
                 self.halted = Some((rig.now_ms - since_ms, 0.0));
             } else {
                 assert!(since_ms as f64 <= allowed_s * 1000.0 + 2.0, "{since_ms} ms, {allowed_s} s allowed");

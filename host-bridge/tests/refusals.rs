@@ -1,4 +1,4 @@
-//! Tests three things: a robot that refuses commands, ending only the arm's motion, and a restricted session.
+//! Tests a robot that refuses commands, the end of only the arm's motion, and a restricted session.
 //! The tests use frames of both hands in virtual time and check every output.
 //!
 //! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 3 left-right (here: end arm).
@@ -30,8 +30,8 @@ use host_bridge::topics::{Entry, Origin, Outlet, Teller, Topic};
 use shared_proto::message::Heading;
 use support::{Rig, Virtual as _};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The additional time is a margin for
-/// the frame in transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s.
+/// The remaining time is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 fn refuse(rig: &mut Rig, why: Option<&str>) {
@@ -358,7 +358,8 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert_eq!(outcome, Played::Not("the robot refuses to move: the e-stop is pressed".to_owned()));
     assert!(took_ms >= SEARCH_MS);
     assert_eq!(door.robot().simulator.motion(), before, "nothing has moved");
-    // The robot refuses during the motion: it stops within the braking time, and the remaining motion is cancelled.
+    // The robot refuses during the motion.
+    // The robot stops within the braking time, and the rest of the motion is cancelled.
     let (mut door, refusal, there) = taught();
     let (outcome, ended_ms, _) = play(&mut door, |now_ms| {
         if now_ms == 2000 {
@@ -396,7 +397,7 @@ fn with_steps() -> Rig {
 
 #[test]
 fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutral_revives_none() {
-    // Executes the complete motion to determine when the arm moves and when it waits.
+    // Executes the entire motion to determine when the arm moves and when it waits.
     let mut rig = with_steps();
     rig.gesture(2);
     let from_ms = rig.now_ms;
@@ -409,7 +410,7 @@ fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutr
     let takes_ms = rig.now_ms - from_ms;
     let first_rest = rests.iter().skip(20).position(|rest| *rest).unwrap() as u64 + 20;
     println!("the whole takes {takes_ms} ms, it waits from {} ms on", 100 * first_rest);
-    // These times are during the first move, the wait, and the last move.
+    // These times lie in the first move, in the wait, and in the last move.
     let moments_ms = [2000, 100 * first_rest + 1500, takes_ms - 3000];
     type Holds = fn(&mut Rig);
     let holds: [(&str, Holds, Holds); 5] = [

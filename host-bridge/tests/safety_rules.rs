@@ -12,8 +12,8 @@ use proptest::prelude::*;
 use shared_proto::message::{Board, Heading, PROTOCOL_MAJOR, health};
 use support::{LABELS, Rig, Virtual as _, hello, hello_of, model, pose};
 
-/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The additional time is a margin for
-/// the frame in transit.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s.
+/// The remaining time is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 #[test]
@@ -89,7 +89,8 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
         assert_eq!(rig.state(), State::Stale);
         rig.run(REST_MS);
         assert!(rig.robot.at_rest());
-        // The hand is connected again but still tilted: the robot does not move, and the arm's motion is cancelled.
+        // The hand is connected again but still tilted.
+        // The robot does not move, and the arm's motion is cancelled.
         rig.talking[silent] = true;
         rig.take_moved();
         rig.run(3000);
@@ -193,7 +194,7 @@ fn a_burst_after_a_stall_is_not_replayed() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5, "bends of the stall do not count later");
 }
 
-/// Creates a rig with only a left hand, which is tilted backward, on a fast link; the hand is not armed.
+/// Creates a rig with only a left hand on a fast link. The hand is tilted backward and is not armed.
 fn tilted_backward() -> Rig {
     let mut rig = Rig::with(&[Hand::Left]);
     rig.point(Heading::Backward, 1000);
@@ -257,7 +258,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
         burst.extend(rig.left_frame());
         rig.run(20);
     }
-    // 200 ms of neutral samples arrive only at this moment.
+    // Only at this moment, 200 ms of neutral samples arrive.
     rig.send(Hand::Left, &burst);
     rig.talking.left = true;
     rig.run(90);
@@ -292,7 +293,7 @@ fn any_pause_of_the_process_needs_neutral_afterwards() {
         let mut rig = Rig::armed();
         rig.point(Heading::Forward, 500);
         assert_eq!(rig.bridge.twist().linear_m_s, 0.5);
-        // The program is stopped, frozen or suspended: the boards' clocks continue, but no data is read.
+        // The program is stopped, frozen or suspended. The boards' clocks continue, but no data is read.
         rig.now_ms += pause_ms;
         rig.run(3000);
         assert_eq!(rig.bridge.twist().linear_m_s, 0.0, "after {pause_ms} ms");
@@ -306,7 +307,7 @@ fn any_pause_of_the_process_needs_neutral_afterwards() {
 fn neutral_counts_on_a_prompt_link_only() {
     let mut rig = tilted_backward();
     rig.answering.left = false;
-    // The last reply is at most 100 ms old, so a ping that waits for 125 ms no longer counts as fast.
+    // The last reply is at most 100 ms old. A ping that waits for 125 ms therefore no longer counts as fast.
     rig.point(Heading::Backward, 240);
     rig.point(Heading::Neutral, 2000);
     assert_ne!(rig.state(), State::Armed);
@@ -355,7 +356,7 @@ fn lost_repeated_and_overtaken_frames_change_nothing() {
     rig.run(20);
     assert!(!rig.take_moved());
     let counters = rig.bridge.link(Hand::Left).counters();
-    // The overtaken frame was missing when the newer one arrived, so it also counts as lost.
+    // The overtaken frame was missing when the newer frame arrived. It therefore also counts as lost.
     assert_eq!((counters.lost, counters.duplicates, counters.overtaken), (2, 2, 1), "{counters:?}");
 }
 
@@ -465,7 +466,7 @@ fn stop_halts_base_and_arm_and_resets_the_caps() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5);
     rig.run(REST_MS + 200);
     assert!(rig.robot.at_rest());
-    // A tilt, neutral, waiting and other gestures do not release the stop.
+    // The stop is not released by a tilt, by neutral, by waiting, or by other gestures.
     rig.take_moved();
     rig.point(Heading::Forward, 1000);
     rig.point(Heading::Neutral, 5000);

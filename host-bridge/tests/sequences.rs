@@ -1,5 +1,5 @@
-//! Tests motions of several steps and the gripper.
-//! A cup is picked up, carried and put down; any failure ends the remaining steps and is reported.
+//! Tests motions of several steps, and the gripper.
+//! A cup is picked up, carried and put down. Any failure ends the remaining steps, and is reported.
 
 use host_bridge::base::Twist;
 use host_bridge::plan::Planner;
@@ -63,7 +63,8 @@ fn a_cup_is_picked_up_carried_while_the_base_drives_and_put_down() {
     assert_eq!(notes(&reports), ["the gripper has cup (60 mm)"]);
     assert_eq!(ended(&reports), Some(true));
     assert!((robot.picture().opening_m.unwrap() - 0.06).abs() < 1e-9);
-    // The bottom of the cup was 70 mm below the point between the fingertips before and must be so afterwards.
+    // The bottom of the cup was 70 mm below the point between the fingertips.
+    // After the motion, the bottom must be there again.
     assert_eq!(cup_mm(&robot), [450.0, 0.0, 680.0]);
     assert_eq!(robot.picture().held, None);
     for _ in 0..100 {
@@ -162,7 +163,7 @@ fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
         parts.push(said.to_owned());
         let opening_m = robot.picture().opening_m.unwrap();
         assert!(opening_m <= 0.085);
-        // No further step is executed, and the gripper still holds the object.
+        // No further step is executed. The gripper still holds the object.
         let rested = robot.arm();
         for _ in 0..100 {
             robot.drive(Twist::ZERO);

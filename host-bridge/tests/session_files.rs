@@ -1,4 +1,4 @@
-//! Tests session files that other programs have modified or damaged, and the use of session files in other programs.
+//! Tests session files that other programs have modified or damaged. Also tests their use in other programs.
 #![cfg(feature = "mcap")]
 
 use std::collections::HashMap;

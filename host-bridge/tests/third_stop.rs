@@ -1,12 +1,12 @@
-//! Tests the third stop: the behaviour of arm and base after this program dies or freezes, or its cable is cut.
+//! Tests the third stop: how arm and base behave after this program dies or freezes, or its cable is cut.
 //! The failures occur during each motion and while driving.
 //! The tests run in virtual time with simulated controllers that follow the rules of ROS 2 Jazzy.
 //!
 //! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`):
-//! the last message on the topic counts, it is sampled in the controller's own time with cubic interpolation,
-//! and its last point is held.
-//! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero is replaced by the time of arrival,
-//! and a command older than 0.5 s makes the controller brake.
+//! the last message on the topic replaces all others. The controller samples it in its own time with cubics.
+//! The controller holds the last point of the message.
+//! diff_drive_controller (`diff_drive_controller.cpp`): it replaces a stamp of zero by the time of arrival.
+//! The controller brakes if a command is older than 0.5 s.
 
 use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::model::SerialArm;
@@ -102,7 +102,7 @@ enum Fault {
     Dead,
     /// Messages are lost in both directions.
     Cut,
-    /// Nothing passes for 2 s.
+    /// For 2 s, no message passes.
     CutForAWhile,
 }
 
@@ -261,7 +261,7 @@ fn a_hand_moves_the_tool_in_pieces_and_a_clutch_or_a_dead_program_is_an_arm_at_r
                 let (from_ms, mut last) = (rig.now_ms, rig.controller.speed);
                 let (mut slower_ms, mut moved_ms) = (None, rig.now_ms);
                 if !dies {
-                    // As the bridge does where the clutch opens.
+                    // The bridge also halts where the clutch opens.
                     rig.door.halt();
                 }
                 while rig.now_ms < from_ms + 3000 {
@@ -285,7 +285,7 @@ fn a_hand_moves_the_tool_in_pieces_and_a_clutch_or_a_dead_program_is_an_arm_at_r
                 }
             }
         }
-        // With limited jerk a joint that still gains speed has to lose its acceleration first.
+        // With limited jerk, a joint that still gains speed must first lose its acceleration.
         let loses_ms = (0..JOINTS).map(|i| limits.acceleration_rad_s2[i] / limits.jerk_rad_s3[i] * 1000.0);
         let brakes_max_ms = 50 + loses_ms.fold(0.0, f64::max) as u64;
         println!(
@@ -297,7 +297,7 @@ fn a_hand_moves_the_tool_in_pieces_and_a_clutch_or_a_dead_program_is_an_arm_at_r
     }
 }
 
-/// As the robot on a graph: what it says waits until this program takes it in.
+/// Like a robot on a graph: its messages wait until this program reads them.
 struct Waiting {
     robot: RosRobot,
     said: Vec<JointState>,
@@ -401,7 +401,8 @@ fn in_a_scene_a_pause_of_this_program_does_not_set_the_robots_clock_ahead_and_th
             now_ms += CYCLE_MS;
             cycle(&mut door, &mut controller, now_ms, false);
         }
-        // For two seconds after a pause the clock is known from what was heard then.
+        // The clock is estimated from the messages of the last two seconds.
+        // The pause therefore still has an effect here.
         for k in 0..50 {
             now_ms += CYCLE_MS;
             cycle(&mut door, &mut controller, now_ms, true);
@@ -411,7 +412,7 @@ fn in_a_scene_a_pause_of_this_program_does_not_set_the_robots_clock_ahead_and_th
             }
         }
         assert!(!controller.rests(), "{pause_ms}: the tool moves on");
-        // As the bridge does where the clutch opens.
+        // The bridge also halts where the clutch opens.
         door.halt();
         let size = |speed: &[f64; JOINTS]| speed.iter().map(|v| v * v).sum::<f64>();
         let (from_ms, mut last) = (now_ms, size(&controller.speed));

@@ -82,7 +82,8 @@ fn session() -> (Web, Live) {
     (web, live)
 }
 
-/// Publishes a step whose state is sent to pages. The number of earlier states sent depends on the machine's speed.
+/// Publishes a step whose state is sent to pages.
+/// The number of earlier states that are sent depends on the machine's speed.
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
     live.advance(now_ms, [true; 2]);
@@ -99,7 +100,7 @@ fn a_page_marks_episodes_where_the_session_takes_marks() {
         assert_eq!(message(&mut page)["marks"], takes);
         page.send(Message::text("mark again")).unwrap();
         let _ = page.send(Message::text("mark it"));
-        // A message that no page sends ends the connection after all earlier messages were read.
+        // A message that no page sends ends the connection. By then, all earlier messages were read.
         while page.read().is_ok() {}
         let marks = web.marks();
         assert_eq!(marks(), takes.then_some(Mark::Again));
@@ -122,7 +123,7 @@ fn a_page_is_told_what_the_wearer_is_asked_and_presses_the_button() {
     assert_eq!((&right["prompt"]["button"], &right["nearly"]), (&"show three of each".into(), &Value::Null));
     page.send(Message::text("show")).unwrap();
     let _ = page.send(Message::text("show it"));
-    // A message that no page sends ends the connection; by then, all earlier messages were read.
+    // A message that no page sends ends the connection. By then, all earlier messages were read.
     while page.read().is_ok() {}
     let shows = web.shows();
     assert!(shows() && !shows());
@@ -249,7 +250,7 @@ fn a_page_that_takes_nothing_gets_two_frames_and_then_only_the_newest() {
         publish_step(&mut live, now_ms);
         last = message(&mut socket);
     }
-    // Nobody acknowledges these frames.
+    // No page acknowledges these frames.
     for now_ms in 590..600 {
         publish_step(&mut live, now_ms);
     }
@@ -269,7 +270,8 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let origin = own_origin(&web);
     for rude in [Message::text("drive"), Message::text("took"), Message::binary(vec![0; 64])] {
         let mut socket = open(&web, Some(&origin), "").unwrap();
-        // The first frame is acknowledged late: one acknowledgement is accepted, and a second one is an error.
+        // The first frame is acknowledged late.
+        // One acknowledgement is accepted, and a second one is an error.
         for _ in 0..8 {
             let _ = socket.send(rude.clone());
         }
@@ -286,7 +288,7 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let (head, _) = ask(web.address(), "nonsense\u{1}", &[]);
     assert!(head.starts_with("HTTP/1.1 400"), "{head}");
 
-    // Clients that open connections and send nothing do not block others permanently.
+    // Clients that open connections and send nothing must not block others permanently.
     let silent: Vec<TcpStream> =
         (0..CONNECTIONS_MAX).map(|_| TcpStream::connect(web.address()).unwrap()).collect();
     drop(silent);

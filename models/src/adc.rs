@@ -1,8 +1,8 @@
 //! Recordings of the left hand: raw converter counts, as read by the Nano.
 //!
 //! A CSV file has the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`), with 8 to 12 bits at 50 to 500 Hz.
-//! The recording is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz;
-//! [`Read::notes`] mention this.
+//! The recording is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz.
+//! [`Read::notes`] describes the conversion.
 //! `host-bridge record --hand left` writes eighths of a count (512.375), so nothing is lost.
 //! Nothing is repaired silently: unusable data causes an error with file, line, column and a remedy.
 
@@ -20,7 +20,7 @@ const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
 /// Mean intervals that can be converted, and the corresponding rates.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
 const USABLE_HZ: (f64, f64) = (50.0, 500.0);
-/// Converter resolutions that the reader infers from the values, if it has this many samples.
+/// Converter resolutions in bits that the reader infers from the values. It needs at least `ENOUGH` samples.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
@@ -46,7 +46,7 @@ impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
-    /// [`RecordingError`] unless the file contains a complete recording.
+    /// Returns a [`RecordingError`] unless the file contains a complete recording.
     pub fn read(file: &Path) -> Result<Read, RecordingError> {
         let bytes =
             std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
@@ -111,7 +111,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// Returns CSV text with 10-bit conversions, or with eighths of them if there are any.
+    /// Returns CSV text with 10-bit conversions. If a value is not a whole number, the text contains eighths.
     pub fn to_csv(&self) -> String {
         let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {
@@ -139,7 +139,8 @@ fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
 }
 
 /// Infers the resolution of the converter in bits.
-/// Straight fingers read two thirds of the range. Most values are below its end, but not all are below the middle.
+/// Straight fingers read two thirds of the range.
+/// Most values are below the end of the range, but not all are below its middle.
 /// Few samples, or samples with eighths, count as 10 bits.
 fn bits(samples: &[LeftRow]) -> u32 {
     let mut all: Vec<f64> = samples.iter().flat_map(|row| row.conversions).collect();

@@ -1,6 +1,6 @@
 //! Converts a model's files to the blob that boards and bridge run.
 //!
-//! The blob depends only on `.tflite` and card, and its CRC-32 is the model id on the wire.
+//! The blob depends only on the `.tflite` file and the card, and its CRC-32 is the model id on the wire.
 
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,7 @@ pub enum ModelError {
         /// Description of the problem that the file has.
         source: TfliteError,
     },
-    /// Model and card are both valid, but they do not match or are not suitable.
+    /// The model and the card are each valid, but they do not match or are not suitable.
     #[error("{file}: {what}")]
     Mismatch {
         /// The model's file.
@@ -43,7 +43,7 @@ pub enum ModelError {
     },
 }
 
-/// The files of a model, which were read and match each other.
+/// The files of a model. They have been read, and they match each other.
 #[derive(Clone, Debug)]
 pub struct ModelFiles {
     /// The card.

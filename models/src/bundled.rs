@@ -1,6 +1,6 @@
 //! The model that is bundled with this project. It was trained on simulated wearers only.
 //! The paper's recordings of its seven gestures are not public.
-//! The card states that, and so must every place that shows the model.
+//! The card states this, and every place that shows the model must also state it.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The card: a JSON file beside a model that describes the model, its training data and its accuracy.
+//! The card is a JSON file beside a model. It describes the model, its training data and its accuracy.
 //!
 //! `NAME.tflite` (int8) and `NAME.float.tflite` share the card `NAME.card.json`. The README lists its fields.
 
@@ -19,7 +19,7 @@ pub struct Card {
     pub format: u32,
     /// The model's name, which is its file name without the extension.
     pub name: String,
-    /// A description of the training data. It says if the data is simulated.
+    /// A description of the training data. It says whether the data is simulated.
     pub about: String,
     /// CRC-32 of the blob in hexadecimal, which is the id that a board reports.
     pub model_id: String,
@@ -45,7 +45,8 @@ pub struct Card {
     pub data: Data,
     /// Results for the recordings that were not used in training. `data.test` lists them.
     pub test: Option<Scores>,
-    /// Results for the validation recordings. They are optimistic, because these recordings determined when training stopped.
+    /// Results for the validation recordings.
+    /// The results are optimistic, because these recordings determined when training stopped.
     pub validation: Option<Scores>,
 }
 
@@ -81,7 +82,7 @@ pub struct Training {
     pub validation_fraction: f64,
     /// A description of how training recordings were varied.
     pub augmentation: String,
-    /// Number of training windows, including varied ones.
+    /// Number of training windows, including windows of varied recordings.
     pub windows: usize,
 }
 
@@ -122,7 +123,8 @@ pub struct Scores {
 pub struct Score {
     /// Correctly classified windows in per cent (stride 1 s).
     pub per_window: f64,
-    /// Correctly classified recordings in per cent. A recording's label has the highest mean probability of its windows.
+    /// Correctly classified recordings in per cent.
+    /// A recording has the label with the highest mean probability over its windows.
     pub per_recording: f64,
     /// Confusion matrix of recordings: `confusion[true label][given label]`.
     pub confusion: Vec<Vec<usize>>,

@@ -5,10 +5,13 @@
 //! `models daily vectors` generates the file, and `daily/ABOUT.txt` contains the source and its licence.
 //! Without this training, a model easily mistakes getting up from a chair for a circle.
 //!
-//! The file starts with `BIMANDAY` and the number of people as u8. Each name follows after its length as u8.
-//! Three tables follow. The first has features without a gyroscope, and the third has features with one.
+//! The file starts with `BIMANDAY`, the number of people as u8, and their names.
+//! Each name follows its length as u8.
+//! Then there are three tables.
+//! The first table has features without a gyroscope, and the third table has features with a gyroscope.
 //! The second has features of the slow window ([`shared_dsp::right::slow`]).
-//! A table starts with its numbers of rows and columns as u32. For each column, it has an offset and a unit as f32 (little-endian).
+//! A table starts with its numbers of rows and columns as u32.
+//! For each column, it then has an offset and a unit as f32 (little-endian).
 //! Each row has the number of its person as u8, and a signed byte for each column.
 //! The value of a feature is this byte times the unit, plus the offset.
 
@@ -19,7 +22,7 @@ use crate::recording::Recording;
 use crate::windows::{aligned_features, prepare, slowed};
 use crate::{HOP, WINDOW};
 
-/// The source of the vectors. Their licence requires it in a model's card.
+/// The source of the vectors. Their licence requires that a model's card names the source.
 pub const SOURCE: &str = "features of daily movement without a gesture, as other, from: Dataset of inertial measurements of \
      smartphones and smartwatches for human activity recognition, M. Matey-Sanz, S. Casteleyn, C. Granell, Data in Brief \
      2023, 109809, doi 10.5281/zenodo.8398688, CC BY 4.0 (changed: smartwatches of 12 people, features only)";
@@ -177,7 +180,8 @@ impl Vectors {
     }
 }
 
-/// Returns a file of vectors. They are computed from recordings with a gyroscope of people who make no gesture.
+/// Returns a file of vectors. They are computed from recordings of people who make no gesture.
+/// The recordings must contain a gyroscope.
 pub fn vectors(recordings: &Dataset) -> Vec<u8> {
     let people = recordings.people();
     let windows = |recording: &Recording, stride: usize| -> Vec<Vec<f32>> {

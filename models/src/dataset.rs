@@ -3,7 +3,7 @@
 //! Every CSV file in every label folder is read.
 //! `index.csv`, other files at the top level (licences) and hidden files are ignored and listed in `ignored`.
 //! If a folder has recordings with 3, 6 and 9 axes, the reader uses the axes common to all recordings.
-//! This works because the sets of axes are nested: accelerometer, gyroscope, magnetometer.
+//! The sets of axes are nested: accelerometer, then gyroscope, then magnetometer.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -134,7 +134,8 @@ impl Dataset {
                 if !wanted(&labels::canonical(&folder_name), person) {
                     continue;
                 }
-                // A single recording may contain little rotation, but if this is true of most of a person's recordings, the unit is wrong.
+                // A single recording may contain little rotation.
+                // If most of a person's recordings contain little rotation, the unit is wrong.
                 let recording = match Recording::read(&file) {
                     Err(error) => match Recording::read_as(&file, &in_degrees) {
                         Ok(recording) => {

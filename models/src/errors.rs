@@ -1,6 +1,6 @@
 //! Errors for people.
 
-/// Formats an error with its causes. It prints each cause only once, because many errors already mention theirs.
+/// Formats an error with its causes. A cause that an error already mentions is not printed again.
 ///
 /// ```
 /// let error = models::recording::Recording::read("no/such.csv".as_ref()).unwrap_err();

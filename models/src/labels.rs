@@ -54,7 +54,7 @@ pub fn is_no_gesture(name: &str) -> bool {
 /// Returns the standard names of a list of labels, each name once.
 ///
 /// # Errors
-/// Fails if two labels have the same meaning. The error names both.
+/// Fails if two labels have the same meaning. The error names the two labels.
 pub fn canonical_list(names: &[String]) -> Result<Vec<String>, String> {
     let labels: Vec<String> = names.iter().map(|name| canonical(name)).collect();
     for (at, label) in labels.iter().enumerate() {
@@ -100,7 +100,7 @@ pub fn canonical(name: &str) -> String {
     }
 }
 
-/// Words for directions and their opposites. If one contains another, the longer one comes first.
+/// Words for directions and their opposites. If one word contains another, the longer word comes first.
 const OPPOSITES: [(&str, &str); 9] = [
     ("counter-clockwise", "clockwise"),
     ("counterclockwise", "clockwise"),

@@ -1,12 +1,13 @@
 //! Handles recordings, training, quantisation, TFLite files and model cards.
 //!
 //! Without the feature `train`, this crate is small.
-//! It then reads recordings, simulates wearers, and converts a `.tflite` file and its card to the blob.
+//! Without `train`, it reads recordings and simulates wearers.
+//! It also converts a `.tflite` file and its card to the blob.
 //! With `train` (the default, used by the program `models`), it also trains networks.
 //!
 //! Glossary: a *recording* is one file, with samples of one person who makes one gesture.
 //! A *window* is [`WINDOW`] samples at [`RATE_HZ`]. A *label* is the standard name of a gesture.
-//! A *card* is a JSON file beside a model, which describes the model.
+//! A *card* is a JSON file that is stored beside a model and describes the model.
 
 pub mod adc;
 pub mod blob;

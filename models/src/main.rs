@@ -52,7 +52,8 @@ fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
     // With `None`, rayon chooses the number of threads.
     rayon::ThreadPoolBuilder::new().num_threads(cli.threads.unwrap_or(0)).build_global()?;
-    // Without this variable, candle counts the processors for every matrix product. This takes a fifth of the training time.
+    // Without this variable, candle counts the processors for every matrix product.
+    // The counting takes a fifth of the training time.
     // The matrix products of this program are too small for several threads.
     // SAFETY: no thread that reads the environment is running yet.
     unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };

@@ -1,4 +1,4 @@
-//! A recording of the right hand. This file reads, checks and resamples it, and writes its CSV file.
+//! A recording of the right hand. This module reads, checks and resamples recordings, and writes CSV files.
 //!
 //! The output format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ` (m/s²).
 //! Optional columns are `gyrX,gyrY,gyrZ` (deg/s) and `magX,magY,magZ` (µT); times are in ms.
@@ -41,7 +41,8 @@ impl Recording {
     /// Creates a recording from its parts: `values` contains `axes` values for each entry of `time_ms`.
     ///
     /// # Panics
-    /// Panics if `axes` is not 3, 6 or 9, or if the lengths do not match. Callers use constants for both.
+    /// Panics if `axes` is not 3, 6 or 9, or if the lengths do not match.
+    /// Callers use constants, so no panic occurs.
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
@@ -72,7 +73,7 @@ impl Recording {
     /// Like [`Self::parse`], with the rules of [`Reading`].
     ///
     /// # Errors
-    /// [`RecordingError`]. It is also an error if the file contains several recordings.
+    /// Returns a [`RecordingError`], for example if the file contains several recordings.
     pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {
@@ -103,7 +104,7 @@ impl Recording {
         self.time_ms.len()
     }
 
-    /// Whether there are no samples. A recording from a file always has some.
+    /// Whether there are no samples. A recording from a file always contains samples.
     pub fn is_empty(&self) -> bool {
         self.time_ms.is_empty()
     }
@@ -166,7 +167,8 @@ impl Recording {
     ///
     /// If the rate is within 1 % and there are no gaps, the samples are used unchanged.
     /// Otherwise, each new sample is interpolated linearly between its neighbours in time.
-    /// A recording with more than 1.5 times the rate is first averaged over one new interval, to avoid aliasing.
+    /// To avoid aliasing, a recording at a much higher rate is first averaged over one new interval.
+    /// This applies above 1.5 times the models' rate.
     pub fn resampled(&self) -> Self {
         let interval_ms = 1000.0 / RATE_HZ;
         if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {
@@ -198,7 +200,7 @@ impl Recording {
         Self::new(self.axes, time_ms, values)
     }
 
-    /// Replaces each sample with the mean of the samples within half of `span_ms`.
+    /// Replaces each sample with the mean of all samples that are at most half of `span_ms` away.
     fn averaged_over(&self, span_ms: f64) -> Vec<f32> {
         let mut values = Vec::with_capacity(self.values.len());
         let (mut from, mut to) = (0, 0);

@@ -27,7 +27,7 @@ pub fn err(text: Arguments<'_>) {
     let _ = std::io::stderr().lock().write_fmt(text);
 }
 
-/// Returns whether output was lost for another reason than a closed pipe, which means that the command has failed.
+/// Returns whether output was lost for a reason other than a closed pipe. The command has then failed.
 pub fn lost() -> bool {
     LOST.load(Ordering::SeqCst)
 }

@@ -18,8 +18,9 @@ pub struct Prepared {
 
 /// Returns a recording at the models' rate that is at least one window long.
 ///
-/// A shorter one is extended periodically until the window is full, with the period that best matches its end.
-/// (If it were mirrored in time, a circle would change its direction.)
+/// A shorter recording is extended periodically until the window is full.
+/// The period is the one that best matches the end of the recording.
+/// (If the recording were mirrored in time, a circle would change its direction.)
 pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     let at_rate = recording.resampled();
     let resampled = at_rate.len() != recording.len() || !at_rate.samples().eq(recording.samples());
@@ -30,7 +31,7 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
 
 /// Minimum period of a movement in samples: 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
-/// Minimum and maximum number of samples of the end that are compared with the previous period.
+/// Minimum and maximum number of samples at the end that are compared with the samples one period earlier.
 const COMPARED: (usize, usize) = (12, 50);
 /// Number of samples over which the jump at the seam fades.
 const SEAM: usize = 10;
@@ -67,7 +68,8 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
         .map(|axis| {
             let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
             let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
-            // Acceleration and rotation each get equal weight in total, because axes with little movement are mostly noise.
+            // Acceleration and rotation get the same total weight.
+            // Axes with little movement are mostly noise, so they must not get the same weight as other axes.
             variance
         })
         .collect();
@@ -119,7 +121,8 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
 #[cfg(feature = "adapt")]
 const LEARNT_STRIDE: usize = crate::RATE_HZ as usize;
 
-/// The windows of a prepared recording that recipe `aligned` learns. The samples of a window follow each other.
+/// The windows of a prepared recording that recipe `aligned` learns.
+/// Each window stores its samples in sequence.
 #[cfg(feature = "adapt")]
 pub(crate) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
     let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(LEARNT_STRIDE);

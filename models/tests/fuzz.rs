@@ -1,5 +1,5 @@
 //! Feeds damaged files to the readers of other programs' formats.
-//! They must not panic, hang for more than 2 s, or use more than 500 MB.
+//! The readers must not panic, hang for more than 2 s, or use more than 500 MB.
 //!
 //! `cargo test -p models --test fuzz` gives each reader a few thousand inputs.
 //! The following command gives each reader a million inputs and prints statistics:
@@ -129,7 +129,7 @@ fn damaged_folders_of_one_file_per_sensor_are_read_or_refused() {
                 format!("{ns},{:.3},{:.4},{:.4},{:.4}\n", start + t * scale, v[2], v[1], v[0])
             })
     };
-    // Both files in one input, separated by a byte that does not occur in text.
+    // An input contains two files, which are separated by a byte that does not occur in text.
     let pair = |a: String, b: String| [a.as_bytes(), &[0], b.as_bytes()].concat();
     let seeds = [pair(file(1.0, 0, 0.0), file(1.0, 1, 0.02)), pair(file(1.0, 0, 0.1), file(2.0, 1, 0.0))];
     let reading = Reading { guess: true, ..Reading::default() };

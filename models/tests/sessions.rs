@@ -75,7 +75,8 @@ fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
-/// Plays wearers and compares the result with a lower limit. The README contains the measured value, which exceeds the limit.
+/// Plays wearers and compares the result with a lower limit.
+/// The README contains the measured value, which exceeds the limit.
 fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();
@@ -115,6 +116,7 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
     // Simulated wearers handle objects all the time; real daily movement causes no events (`models daily events`).
-    // The limit is twice the previous one, at which a third of the real circles were not recognised (see README).
+    // The limit is twice the previous limit (see README).
+    // With the previous limit, a third of the real circles were not recognised.
     assert!(events <= 24, "{events}");
 }

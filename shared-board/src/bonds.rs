@@ -5,16 +5,18 @@
 //! page + 16 + 48 i   a record: keys, address, flags, CRC-32 (twelve words)
 //! ```
 //!
-//! The log has two pages. Records are appended to the newer page, and the last record about a laptop is valid.
-//! When this page is full, the valid records are copied to the other page, whose magic number is written last.
-//! The full page stays until the next change of pages, so the power may fail at any word.
+//! The log has two pages. New records are appended to the newer page.
+//! If there are several records about a laptop, the last one is valid.
+//! When the newer page is full, the valid records are copied to the other page.
+//! The magic number of that page is written last.
+//! The full page is kept until the next copy, so a power cut at any word does no harm.
 //! All stored laptops then remain, and a new laptop is either stored or not.
 
 use crate::models::MappedFlash;
 use crate::pages::{self, Aligned, HEADER_BYTES, newest, word};
 use shared_dsp::right::network::crc32;
 
-/// Maximum number of stored laptops. A new one replaces the laptop that bonded longest ago.
+/// Maximum number of stored laptops. A new laptop replaces the laptop that bonded longest ago.
 pub const REMEMBERED: usize = 4;
 /// Number of flash pages that a log occupies.
 pub const PAGES: usize = pages::PAGES;
@@ -23,7 +25,7 @@ const MAGIC: u32 = u32::from_le_bytes(*b"BMB3");
 const RECORD_BYTES: usize = 48;
 const CRC_AT: usize = RECORD_BYTES - 4;
 
-/// A laptop, and the keys that board and laptop share.
+/// A bonded laptop, and the keys that it shares with the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bond {
     /// The long term key, which encrypts the link (little-endian).
@@ -32,16 +34,17 @@ pub struct Bond {
     pub resolving: [u8; 16],
     /// The laptop's own address (little-endian).
     pub address: [u8; 6],
-    /// The address is random, and was not assigned by the manufacturer.
+    /// Whether the laptop's address is random. Otherwise, the manufacturer has assigned it.
     pub address_is_random: bool,
-    /// Somebody compared numbers during the pairing.
+    /// Whether a person compared numbers during the pairing.
     pub authenticated: bool,
-    /// The laptop requests states whenever it is connected. A bonded laptop expects this setting to survive an absence.
+    /// Whether the laptop requests states whenever it is connected.
+    /// A bonded laptop expects the board to remember this setting while it is away.
     pub listens: bool,
 }
 
 impl Bond {
-    /// Returns whether both bonds are with the same laptop.
+    /// Returns whether this bond and `other` are with the same laptop.
     pub fn is_of_same_laptop(&self, other: &Self) -> bool {
         let same_address = self.address == other.address && self.address_is_random == other.address_is_random;
         same_address || (self.resolving != [0; 16] && self.resolving == other.resolving)
@@ -91,12 +94,13 @@ impl Laptops {
         self.iter().next().is_none()
     }
 
-    /// Stores a laptop as the newest. It replaces the laptop's earlier bond, or the oldest bond if there is no room.
+    /// Stores a laptop as the newest bond.
+    /// The bond replaces the laptop's earlier bond, or the oldest bond if there is no room.
     pub fn keep(&mut self, bond: Bond) {
         let same = self.0.iter().position(|kept| kept.is_some_and(|kept| kept.is_of_same_laptop(&bond)));
         let free = self.0.iter().position(Option::is_none);
         let place = same.or(free).unwrap_or(0);
-        // The bonds behind the removed one move up; blanks stay at the end.
+        // The bonds after the removed bond move up, so that blank places remain at the end.
         let used = free.unwrap_or(REMEMBERED);
         let end = if same.is_none() && free.is_some() { used + 1 } else { used };
         self.0[place..end].rotate_left(1);
@@ -136,7 +140,7 @@ impl<F: MappedFlash> BondLog<F> {
     /// Stores this laptop. If exactly the same bond is already stored, nothing is written.
     ///
     /// # Errors
-    /// If the flash could not store the bond. The bonds that were stored before remain.
+    /// Fails if the flash could not store the bond. The bonds that were stored before remain.
     pub async fn keep(&mut self, bond: Bond) -> Result<(), NotKept> {
         if self.laptops.iter().any(|kept| *kept == bond) {
             return Ok(());
@@ -151,7 +155,8 @@ impl<F: MappedFlash> BondLog<F> {
         Ok(())
     }
 
-    /// Returns the place of the next record in the newest page, if it has room. It is behind the last record, complete or not.
+    /// Returns the place of the next record in the newest page, if there is room.
+    /// This place follows the last record, even if that record is incomplete.
     fn room(&self) -> Option<usize> {
         let (start, page) = newest(self.flash.mapped(), F::ERASE_SIZE, MAGIC)?;
         let records = page.get(HEADER_BYTES..)?.chunks_exact(RECORD_BYTES);

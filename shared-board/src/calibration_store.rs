@@ -64,7 +64,7 @@ pub enum Progress {
     None,
     /// A write has finished, and the byte was verified.
     Done,
-    /// A write has finished, but the byte differs from the written one.
+    /// A write has finished, but the stored byte differs from the written byte.
     Failed,
 }
 

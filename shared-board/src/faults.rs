@@ -17,7 +17,7 @@ impl FaultLog {
         Self { kept: [None; KEPT] }
     }
 
-    /// Stores and sends a fault. If there is no room, the new fault replaces the newest one.
+    /// Stores and sends a fault. If there is no room, the new fault replaces the newest stored fault.
     pub fn report(&mut self, fault: Fault, out: &mut impl FrameOut) {
         let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
         let free = self.kept.iter().position(Option::is_none);

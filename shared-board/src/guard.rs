@@ -1,9 +1,10 @@
 //! Filters the packets that arrive over Bluetooth before the host stack receives them.
 //!
-//! The host stack `trouble-host` 0.8 does not check the lengths of requests, and panics at a short one.
+//! The host stack `trouble-host` 0.8 does not check the lengths of requests.
+//! A request that is too short makes it panic.
 //! Without this filter, anybody in range could therefore restart the board, even without pairing.
-//! The filter accepts only packets that a board uses and whose length follows the Core Specification, volume 3.
-//! L2CAP is in part A, ATT is in part F, and the security manager is in part H.
+//! The filter accepts only packets that a board uses, and only lengths that the Core Specification allows.
+//! In its volume 3, part A describes L2CAP, part F describes ATT, and part H describes the security manager.
 
 /// Number of bytes in an L2CAP header.
 const HEADER: usize = 4;
@@ -17,7 +18,7 @@ const SECURITY: u16 = 6;
 /// Checks the fragments that arrive on one link.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Guard {
-    /// Number of bytes that are still missing from a packet whose beginning was accepted.
+    /// Number of bytes that are missing from the end of a packet whose beginning was accepted.
     left: usize,
 }
 
@@ -49,7 +50,8 @@ impl Guard {
             SECURITY => content.first().is_some_and(|&code| is_security(code, length)),
             _ => false,
         };
-        // Where the host has the beginning of another packet, it hangs up at this one: no correct laptop sends it.
+        // If the previous packet is incomplete, the host stack disconnects here.
+        // No correct laptop causes this.
         if is_sound && self.left == 0 {
             self.left = left;
         }
@@ -62,7 +64,8 @@ impl Guard {
     }
 }
 
-/// Requests and commands. The board sends no requests, so it expects no answers. The host stack refuses other packets itself.
+/// Returns whether this is a sound request or command. The board sends no requests, so it expects no answers.
+/// The host stack itself refuses all other packets.
 fn is_att(content: &[u8], length: usize) -> bool {
     let [opcode, ref rest @ ..] = *content else { return false };
     match opcode {
@@ -71,10 +74,10 @@ fn is_att(content: &[u8], length: usize) -> bool {
         0x0A => length == 3,
         0x04 | 0x0C => length == 5,
         0x06 => length >= 7,
-        // The host stack has no room for the long type of a group.
+        // The host stack has no room for a group type of 16 bytes.
         0x10 => length == 7,
         0x08 => length == 7 || length == 21,
-        // A request for several values has at least two handles.
+        // A request for several values contains at least two handles.
         0x0E | 0x20 => length >= 5 && length % 2 == 1,
         0x12 | 0x52 => length >= 3,
         0x16 => length >= 5,
@@ -84,14 +87,16 @@ fn is_att(content: &[u8], length: usize) -> bool {
     }
 }
 
-/// A laptop's refusal, and its answer to a request for other parameters.
+/// Returns whether this packet is a laptop's refusal,
+/// or its answer to a request for other connection parameters.
 fn is_signal(content: &[u8], length: usize) -> bool {
     let [code, _, l0, l1, ..] = *content else { return false };
     let says = usize::from(u16::from_le_bytes([l0, l1]));
     says + HEADER == length && (code == 0x01 && says >= 2 || code == 0x13 && says == 2)
 }
 
-/// What the side that asks for pairing sends. With secure connections it hands out no keys but its identity's.
+/// Returns whether the side that starts the pairing sends such a packet.
+/// With Secure Connections, that side distributes no keys except those of its identity.
 fn is_security(code: u8, length: usize) -> bool {
     let right = match code {
         0x01 => 7,
@@ -164,7 +169,8 @@ mod tests {
         assert!(!passes(SIGNALLING, &[0x13, 1, 2, 0, 0]));
         assert!(!passes(SIGNALLING, &[0x14, 1, 10, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]));
         assert!(!passes(SECURITY, &[0x0C; 64]));
-        // Only the central's peer sends these, or they carry keys that Secure Connections do not distribute.
+        // Some of these packets come only from a peripheral.
+        // The others carry keys that Secure Connections do not distribute.
         for (code, length) in [(0x02, 7), (0x0B, 2), (0x06, 17), (0x07, 11), (0x0A, 17)] {
             assert!(!is_security(code, length), "{code}");
         }
@@ -184,7 +190,8 @@ mod tests {
         assert!(!guard.passes(false, &[0; 20]), "too much");
         assert!(guard.passes(false, &whole[9..]) && !guard.is_waiting());
         assert!(!guard.passes(false, &[1]), "nothing has begun");
-        // If another packet begins too early, the host stack disconnects. The missing part of the first packet stays the same.
+        // If another packet begins too early, the host stack disconnects.
+        // The number of bytes that are missing from the first packet stays the same.
         assert!(guard.passes(true, &whole[..6]));
         assert!(guard.passes(true, &packet(ATT, &[0x0A, 3, 0])) && guard.is_waiting());
         assert!(!guard.passes(true, &packet(ATT, &[0x0A, 3])));

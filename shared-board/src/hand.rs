@@ -14,7 +14,7 @@ pub trait Hand {
     /// Adds the sample that was taken at `time_ms`. Returns true once per hop, when [`Hand::output`] is new.
     fn push(&mut self, sample: &Self::Sample, time_ms: u32) -> bool;
 
-    /// Reports missing samples. The window starts again; past events and their counter remain.
+    /// Reports missing samples. The window must fill again, but past events and their counter remain.
     fn gap(&mut self);
 
     /// Returns the state after the last hop.
@@ -44,10 +44,10 @@ pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<
 
 /// The unit in which a hand's samples are given.
 pub trait Reading: Copy {
-    /// Converts to m/s², deg/s or µT, where one count is `scale`.
+    /// Converts the reading to m/s², deg/s or µT. The value of one count is `scale`.
     fn value(self, scale: f32) -> f32;
 
-    /// Converts to counts of `scale`.
+    /// Converts the reading to counts. The value of one count is `scale`.
     fn count(self, scale: f32) -> i16;
 }
 
@@ -62,7 +62,7 @@ impl Reading for i16 {
     }
 }
 
-/// Values in m/s², deg/s and µT, as in recordings.
+/// Values in m/s², deg/s and µT, which recordings also contain.
 impl Reading for f32 {
     fn value(self, _: f32) -> f32 {
         self
@@ -91,7 +91,8 @@ pub struct SampledHand<'m, R, const A: usize> {
 }
 
 impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
-    /// `scale` is the physical value of one count in m/s², deg/s and µT. It converts the samples, or is used in record mode.
+    /// `scale` is the physical value of one count in m/s², deg/s and µT.
+    /// The scale converts samples in counts. For other samples, it is used only in record mode.
     pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
         Self { hand, scale, readings: PhantomData }
     }

@@ -52,7 +52,7 @@ pub struct LeftBoard<M> {
     last_status_ms: u32,
     samples_until_state: u8,
     sampled_in_period: bool,
-    /// A change could not be sent because the line had no room.
+    /// Whether a change still has to be sent, because the line had no room for it.
     owed: bool,
     hello_owed: bool,
     fault_owed: Option<FaultKind>,
@@ -127,7 +127,7 @@ impl<M: Eeprom> LeftBoard<M> {
     }
 
     /// Sends the counters of the drivers, together with the board's time, damaged frames and mode.
-    /// The drivers' `bad_frames` are bytes that arrived too fast.
+    /// The drivers use `bad_frames` for the number of bytes that arrived too fast.
     #[inline]
     pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
@@ -168,7 +168,7 @@ impl<M: Eeprom> LeftBoard<M> {
         acknowledge(request, result, out);
     }
 
-    /// Returns whether the light is on. It guides the calibration without a laptop and is otherwise off.
+    /// Returns whether the light is on. The light guides a calibration without a laptop and is otherwise off.
     pub fn light(&self) -> bool {
         self.light
     }

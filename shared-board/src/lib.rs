@@ -1,4 +1,5 @@
-//! The logic of the boards without their pins. Inputs are samples, bytes and time; outputs are frames, memory operations and the light.
+//! The logic of the boards without their pins.
+//! The inputs are samples, bytes and time. The outputs are frames, memory operations and the light.
 //!
 //! ```text
 //!  samples ─▶ ┌───────────────────────┐ ─▶ frames
@@ -13,12 +14,13 @@
 //! * [`right::RightBoard`]: gestures, record mode, and requirements of the model.
 //! * [`vibration::Vibration`]: patterns of the motor at the right board.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
+//! * [`images::ImageStore`]: receives a new image of the board, which [`swap`] puts into place.
 //!
 //! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all use this code.
-//! They differ only in where samples come from and where frames go.
+//! These programs differ only in where samples come from and where frames go.
 //!
 //! This code never waits, reads a clock or accesses a register.
-//! All times are on the board's own clock, in milliseconds since start, which wraps after 49 days.
+//! All times are on the board's own clock, which counts milliseconds since the start and wraps after 49 days.
 //!
 //! # A left board in ten lines
 //! ```
@@ -58,6 +60,7 @@ pub mod eeprom_log;
 pub mod faults;
 pub mod guard;
 pub mod hand;
+pub mod images;
 pub mod left;
 #[cfg(any(test, feature = "host"))]
 pub mod memory;
@@ -65,6 +68,8 @@ pub mod models;
 pub(crate) mod pages;
 pub mod right;
 pub mod slots;
+pub mod swap;
+pub mod update;
 pub mod vibration;
 
 use shared_proto::frame::encode_body;

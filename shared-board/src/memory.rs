@@ -28,7 +28,7 @@ pub struct RamEeprom {
     bytes: [u8; 128],
     /// Number of bytes written.
     pub writes: u32,
-    /// Number of bytes that will still be stored. Later writes are lost, as after a power cut.
+    /// Number of bytes that will still be stored before a power cut. All later writes are lost.
     pub writes_left: u32,
     /// Number of calls after a write for which `is_busy` returns true.
     pub busy_for: u32,
@@ -83,7 +83,7 @@ impl Eeprom for RamEeprom {
 #[derive(Clone, Debug)]
 pub struct RamFlash {
     bytes: Vec<u8>,
-    /// Number of words and pages that were processed.
+    /// Number of words that were written and pages that were erased.
     pub operations: u32,
     /// Number of operations until a power cut, which interrupts the last operation at any bit.
     /// Later operations have no effect.
@@ -95,7 +95,12 @@ pub struct RamFlash {
 impl RamFlash {
     /// Erased flash.
     pub fn blank() -> Self {
-        Self { bytes: vec![0xFF; STORE_BYTES], operations: 0, cut_after: None, torn: 1 }
+        Self::of(STORE_BYTES)
+    }
+
+    /// Erased flash of this size.
+    pub fn of(bytes: usize) -> Self {
+        Self { bytes: vec![0xFF; bytes], operations: 0, cut_after: None, torn: 1 }
     }
 
     /// Restores the power.
@@ -113,7 +118,7 @@ impl RamFlash {
         (self.torn >> 24) as u8
     }
 
-    /// Sets bytes to `new`. At a power cut, it sets only some of their bits.
+    /// Sets bytes to `new`. A power cut interrupts this after only some of their bits have changed.
     fn operate(&mut self, offset: usize, new: &[u8]) -> Result<(), NorFlashErrorKind> {
         let is_cut = match &mut self.cut_after {
             Some(0) => return Err(NorFlashErrorKind::Other),
@@ -173,7 +178,8 @@ impl NorFlash for RamFlash {
             return Err(NorFlashErrorKind::NotAligned);
         }
         let old = self.bytes.get(start..start + bytes.len()).ok_or(NorFlashErrorKind::OutOfBounds)?;
-        // Only an erased page accepts any bytes. Real flash would silently mix old and new bytes.
+        // Only an erased page accepts arbitrary bytes.
+        // Real flash would silently mix the old bytes with the new ones.
         assert!(old.iter().zip(bytes).all(|(old, new)| old & new == *new), "written without being erased");
         bytes.chunks(4).enumerate().try_for_each(|(i, word)| self.operate(start + 4 * i, word))
     }

@@ -14,7 +14,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use shared_dsp::right::features::{HOP, WINDOW};
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{Model, crc32};
-use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{Ack, AckResult, BoardBody, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 /// NOR flash that can also be read like memory, as in a microcontroller.
 ///
@@ -46,14 +46,46 @@ pub enum ModelRequest<'r> {
         /// CRC-32 of the complete model.
         crc32: u32,
     },
+    /// Announces a new image of the board, whose pieces follow as for a model. An [`ImageStore`](crate::images::ImageStore) answers it.
+    Image {
+        /// Repeated in the answer.
+        request: u16,
+        /// Size of the file in bytes.
+        size: u32,
+        /// CRC-32 of the file.
+        crc32: u32,
+    },
+    /// Asks whether this image runs. An [`ImageStore`](crate::images::ImageStore) answers it.
+    Confirm {
+        /// Repeated in the answer.
+        request: u16,
+        /// CRC-32 of the file.
+        crc32: u32,
+    },
 }
 
-impl ModelRequest<'_> {
+impl<'r> ModelRequest<'r> {
+    /// Returns the request in a laptop's message, if the message is about models or images.
+    pub fn of(message: &HostMessage<'r>) -> Option<Self> {
+        Some(match *message {
+            HostMessage::ModelBegin(begin) => Self::Begin(begin),
+            HostMessage::ModelChunk { request, offset, data } => {
+                Self::Chunk { request, offset, data: data.0 }
+            }
+            HostMessage::ModelCommit { request, crc32 } => Self::Commit { request, crc32 },
+            HostMessage::ImageBegin { request, size, crc32 } => Self::Image { request, size, crc32 },
+            HostMessage::ImageConfirm { request, crc32 } => Self::Confirm { request, crc32 },
+            _ => return None,
+        })
+    }
+
     /// Answers requests for a board that stores no models.
     pub fn refuse(&self, out: &mut impl FrameOut) {
         let (Self::Begin(ModelBegin { request, .. })
         | Self::Chunk { request, .. }
-        | Self::Commit { request, .. }) = *self;
+        | Self::Commit { request, .. }
+        | Self::Image { request, .. }
+        | Self::Confirm { request, .. }) = *self;
         acknowledge(request, AckResult::Unsupported, 0, out);
     }
 }
@@ -163,7 +195,8 @@ impl<F: MappedFlash> ModelStore<F> {
     }
 
     /// Executes a request and answers it.
-    /// After each erased page it calls `pause`, in which a board reads the samples that its sensor has stored meanwhile.
+    /// After it has erased a page, it calls `pause`.
+    /// There, a board reads the samples that its sensor has stored in the meantime.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -174,6 +207,8 @@ impl<F: MappedFlash> ModelStore<F> {
             ModelRequest::Begin(begin) => (begin.request, self.begin(&begin, pause, out).await),
             ModelRequest::Chunk { request, offset, data } => (request, self.chunk(offset, data).await),
             ModelRequest::Commit { request, crc32 } => (request, self.commit(crc32).await),
+            // This board's image cannot be replaced.
+            ModelRequest::Image { .. } | ModelRequest::Confirm { .. } => return request.refuse(out),
         };
         acknowledge(request, result, self.transfer.map_or(0, |t| t.next), out);
     }
@@ -214,7 +249,7 @@ impl<F: MappedFlash> ModelStore<F> {
         if data.is_empty() || end > u64::from(transfer.size) || (!data.len().is_multiple_of(4) && !is_last) {
             return AckResult::OutOfRange;
         }
-        // The last piece is padded with one bits, which have no effect in flash.
+        // The last piece is padded with bits of value 1, which have no effect in flash.
         let mut aligned = Aligned([0xFF; MODEL_CHUNK_MAX]);
         let Some(place) = aligned.0.get_mut(..data.len()) else { return AckResult::OutOfRange };
         place.copy_from_slice(data);
@@ -294,8 +329,8 @@ impl<F: MappedFlash> ModelStore<F> {
 
 /// A buffer aligned for flash controllers, which accept only complete words.
 #[repr(align(4))]
-struct Aligned<const N: usize>([u8; N]);
+pub(crate) struct Aligned<const N: usize>(pub(crate) [u8; N]);
 
-fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
+pub(crate) fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
     send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset }, out);
 }

@@ -13,7 +13,7 @@ use shared_proto::message::{
     Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
 };
 
-/// After this time without a sample, [`RightBoard::silence`] is due, and again after each further period.
+/// [`RightBoard::silence`] is due after this time without a sample, and again after each further period.
 /// The time is longer than the erasure of a flash page, during which samples wait in the sensor.
 pub const SILENCE_MS: u32 = 120;
 
@@ -38,7 +38,7 @@ pub struct RightBoard<H> {
     board_time_ms: u32,
     sensor_ok: bool,
     about: Option<About>,
-    /// The last description of the hardware that was sent to all links.
+    /// The description of the hardware that all links received last.
     told: Option<About>,
     vibration: Vibration,
     /// Whether a hello was sent since start.
@@ -66,10 +66,10 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Processes sample `number` since start, and its time.
+    /// Processes the sample with this `number` since start, and its time.
     /// Returns whether [`RightBoard::send_due`] has something to send.
     ///
-    /// There are two functions, so that this one only computes and the other one only sends.
+    /// This function only computes, and another function only sends.
     #[inline]
     pub fn sample(&mut self, sample: &H::Sample, time_ms: u32, number: u32) -> bool {
         match self.mode {
@@ -78,7 +78,8 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop receives the reason why no gesture is recognised as often as it would receive states.
+                // The laptop receives the reason why no gesture is recognised.
+                // It receives this reason as often as it would otherwise receive states.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }
@@ -125,7 +126,8 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Sets the description of the board's hardware, as far as the driver knows it.
-    /// The description is sent after each hello. If it changes (such as the battery), it is sent with the next status.
+    /// The description is sent after each hello.
+    /// If it changes (for example because of the battery), it is also sent with the next status.
     pub fn set_about(&mut self, about: About) {
         self.about = Some(about);
     }
@@ -155,7 +157,8 @@ impl<H: Hand> RightBoard<H> {
     }
 
     /// Answers a message.
-    /// The method returns messages about models, which a [`ModelStore`](crate::models::ModelStore) must answer.
+    /// The method does not answer messages about models, but returns them.
+    /// A [`ModelStore`](crate::models::ModelStore) must answer these messages.
     ///
     /// `trusted` is true if the link may change settings and stored data (with Bluetooth, if it is bonded).
     pub fn receive<'r>(
@@ -187,17 +190,20 @@ impl<H: Hand> RightBoard<H> {
                 (request, AckResult::Unsupported)
             }
             HostMessage::SetMode { request, mode } => (request, self.set_mode(mode, trusted)),
-            HostMessage::ModelBegin(begin) if trusted => return Some(ModelRequest::Begin(begin)),
-            HostMessage::ModelChunk { request, offset, data } if trusted => {
-                return Some(ModelRequest::Chunk { request, offset, data: data.0 });
-            }
-            HostMessage::ModelCommit { request, crc32 } if trusted => {
-                return Some(ModelRequest::Commit { request, crc32 });
+            HostMessage::ModelBegin(_)
+            | HostMessage::ModelChunk { .. }
+            | HostMessage::ModelCommit { .. }
+            | HostMessage::ImageBegin { .. }
+            | HostMessage::ImageConfirm { .. }
+                if trusted =>
+            {
+                return ModelRequest::of(message);
             }
             HostMessage::ModelBegin(begin) => (begin.request, AckResult::NotBonded),
-            HostMessage::ModelChunk { request, .. } | HostMessage::ModelCommit { request, .. } => {
-                (request, AckResult::NotBonded)
-            }
+            HostMessage::ModelChunk { request, .. }
+            | HostMessage::ModelCommit { request, .. }
+            | HostMessage::ImageBegin { request, .. }
+            | HostMessage::ImageConfirm { request, .. } => (request, AckResult::NotBonded),
         };
         send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset: 0 }, out);
         None

@@ -5,7 +5,8 @@
 //! slot + 16  the blob
 //! ```
 //!
-//! The words are written after the blob was read back and its CRC was checked, and the magic number is written last.
+//! The header is written only after the blob was read back and its CRC was checked.
+//! The magic number is the last word that is written.
 //! If a transfer is interrupted at any point, its slot therefore counts as empty.
 
 use shared_dsp::right::network::crc32;
@@ -81,7 +82,7 @@ pub(crate) fn look(store: &[u8], slot: Slot) -> Content<'_> {
     }
 }
 
-/// Returns whether sequence number `a` is later than `b`; both wrap.
+/// Returns whether sequence number `a` is later than `b`. Both numbers wrap.
 pub(crate) fn is_newer(a: u32, b: u32) -> bool {
     // A later number is ahead by less than half the range.
     (1..1 << 31).contains(&a.wrapping_sub(b))

@@ -21,7 +21,7 @@ struct Pattern {
     on_ms: u32,
     off_ms: u32,
     percent: u8,
-    /// Priority of the signal. A less important signal does not interrupt a more important one.
+    /// Priority of the signal. A less important signal does not interrupt a more important signal.
     weight: u8,
 }
 
@@ -40,7 +40,7 @@ impl Pattern {
         self.pulses * (self.on_ms + self.off_ms) - self.off_ms
     }
 
-    /// Returns the strength at a time after the start of the pattern, and the time of its next change.
+    /// Returns the strength at this time after the start of the pattern, and the time of the next change.
     const fn at(&self, passed_ms: u32) -> (u8, u32) {
         let in_pulse_ms = passed_ms % (self.on_ms + self.off_ms);
         if in_pulse_ms < self.on_ms {
@@ -56,7 +56,7 @@ impl Pattern {
 pub struct Motor {
     /// Strength in per cent: 0 means off, 100 means maximum.
     pub percent: u8,
-    /// Time at which to ask again, or `None` if no signal was ever requested.
+    /// Time after which to ask again, or `None` if nothing will change without a request.
     pub for_ms: Option<u32>,
 }
 
@@ -122,7 +122,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Returns strengths and how long each lasts from `from_ms` on, as a driver obtains them.
+    /// Returns each strength and its duration from `from_ms` on, in the same way as a driver obtains them.
     /// The pattern ends at `until_ms`, or when nothing changes for a second.
     fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
         let mut seen: Vec<(u8, u32)> = Vec::new();
@@ -152,7 +152,7 @@ mod tests {
             (Signal::LinkLost, vec![(100, 250), (0, 150), (100, 250), (0, 150), (100, 250), (0, 950)]),
             (Signal::Unknown(77), vec![(0, 2000)]),
         ] {
-            // This is also true when the clock wraps.
+            // The pattern must be the same when the clock wraps.
             for now_ms in [0, 12_345, u32::MAX - 90] {
                 let mut vibration = Vibration::default();
                 vibration.feel(signal, now_ms);

@@ -7,7 +7,7 @@ use shared_board::memory::{RamFlash, at_once};
 /// Number of records in a page: 4096 bytes without a header of 16 bytes, at 48 bytes each.
 const PER_PAGE: u32 = 85;
 
-/// A laptop; a different `key` stands for a different pairing with it.
+/// Returns a bond with a laptop. A different `key` stands for a different pairing with the same laptop.
 fn laptop(number: u8, key: u8) -> Bond {
     Bond {
         key: [key; 16],
@@ -146,7 +146,8 @@ fn power_that_goes_at_any_word_leaves_what_was_or_what_is_new_and_the_next_lapto
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// After repeated power cuts at any word and any bit, only the bond of another laptop may replace a stored one.
+    /// After repeated power cuts at any word and any bit, all stored bonds remain.
+    /// Only the bond of another laptop may replace a stored bond.
     #[test]
     fn no_number_of_power_cuts_makes_a_board_forget(
         filled in 0..2 * PER_PAGE,

@@ -91,7 +91,8 @@ fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
     let first = rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0];
     assert!(first);
     let states = rig.line.left();
-    // The heading changes from between to neutral. This state is sent immediately, in addition to the regular ones.
+    // The heading changes from between to neutral.
+    // This state is sent immediately, in addition to the regular states.
     assert_eq!(states.len(), 51);
     for (i, state) in states.iter().enumerate() {
         assert_eq!(state.sequence, i as u16);
@@ -148,7 +149,7 @@ fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
     rig.send(&HostMessage::HelloRequest);
     rig.hold(LEVEL, 20);
     assert_eq!(rig.line.hellos(), boot_ids);
-    // Only the other board accepts messages about models.
+    // Only the right board accepts messages about models.
     rig.send(&HostMessage::ModelCommit { request: 3, crc32: 0 });
     assert!(rig.line.acks().is_empty());
 }
@@ -188,7 +189,7 @@ fn record_mode_sends_each_sample_as_it_is_judged_and_no_state() {
     assert_eq!(rig.line.statuses().last().unwrap().mode, Mode::Record);
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
     rig.hold(LEVEL, 40);
-    // The hand was processed all the time, and no state is missing between the first and the last one.
+    // The hand processed all samples, so no state is missing between the first and the last one.
     let first = rig.line.left()[0];
     assert_eq!((first.sequence, first.health), (before + 1, health::DEFAULT_CALIBRATION));
     assert_eq!(first.heading, Heading::Neutral);
@@ -317,7 +318,8 @@ fn the_light_guides_a_wearer_without_a_laptop() {
     let start = Start { fault: None, guided: true };
     let mut rig = Rig::started(RamEeprom::blank(), start);
     let mut lit = Vec::new();
-    // The wearer has three seconds to prepare, 1.3 s for neutral and rest, and three seconds to bend the fingers before *bend*.
+    // The wearer has three seconds to prepare, and neutral and rest take 1.3 s.
+    // Then there are three more seconds to bend the fingers before *bend*.
     for ms in 0..9000 / PERIOD_MS {
         rig.hold(if ms * PERIOD_MS < 4400 { LEVEL } else { BENT }, PERIOD_MS);
         lit.push(rig.board.light());

@@ -1,4 +1,5 @@
-//! Checks that a board receives a model either completely or not at all, whatever fails on the line or the power supply.
+//! Checks that a board receives a model either completely or not at all.
+//! No failure of the line or of the power supply may change this.
 
 mod common;
 
@@ -13,7 +14,8 @@ use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };
 
-/// A small model that depends on `seed`. Its text makes its length differ from every multiple of a piece's length.
+/// A small model that depends on `seed`.
+/// Because of its text, its length is not a multiple of a piece's length.
 fn blob(seed: i8) -> Vec<u8> {
     spec(seed, 3, 8)
 }
@@ -110,7 +112,7 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::Ok, 64));
     // The answer was lost, so the piece is sent again.
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::WrongOffset, 64));
-    // These pieces are too early, too long, too short, or do not consist of complete words.
+    // These pieces are too early, too long or too short, or do not consist of complete words.
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&blob) };
     assert_eq!(ask(&mut store, &commit), (AckResult::WrongOffset, 64));
     let bad = |data| ModelRequest::Chunk { request: 2, offset: 64, data };
@@ -168,7 +170,7 @@ fn a_model_that_was_announced_as_another_one_is_not_kept() {
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&sent) };
     assert_eq!(ask(&mut store, &commit).0, AckResult::BadChecksum);
     assert_eq!(running(store.into_flash()), Some(crc32(&kept)));
-    // The announcement differs from the blob. The blob's hop is one that this image does not support.
+    // The announcement differs from the blob, which has a hop that this image does not support.
     let other_hop = spec(2, 3, 10);
     let mut store = open(flash).0;
     assert_eq!(send(&mut store, &other_hop), AckResult::ModelDoesNotFit);
@@ -193,7 +195,7 @@ fn a_damaged_slot_is_reported_and_the_other_one_is_used() {
 
 #[test]
 fn the_newer_model_is_found_across_the_end_of_the_sequence_numbers() {
-    // The test changes the header of the first slot to a sequence number that is four before the maximum.
+    // The test sets the sequence number in the first slot's header to four below the maximum.
     let mut flash = with(&[blob(1)]);
     for (i, byte) in (u32::MAX - 3).to_le_bytes().into_iter().enumerate() {
         *flash.byte_mut(12 + i) = byte;
@@ -254,7 +256,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// A board that had a model still has one after any number of power cuts, at any word and bit.
+    /// A board that had a model still has a model after any number of power cuts, at any word and bit.
     #[test]
     fn a_board_that_had_a_model_has_one_after_any_number_of_power_cuts(
         cuts in prop::collection::vec((1u32..80, any::<u32>()), 1..12),

@@ -40,7 +40,7 @@ struct Rig<'m> {
     number: u32,
 }
 
-/// Returns sequence number, board time, health and number of scores of a state.
+/// Sequence number, board time, health and number of scores of a state.
 type State = (u16, u32, u8, usize);
 
 impl<'m> Rig<'m> {
@@ -71,7 +71,7 @@ impl<'m> Rig<'m> {
         })
     }
 
-    /// Returns the number of the first sample, and the counts, of each raw batch.
+    /// Returns the number of the first sample and the counts of each raw batch.
     fn raw(&self) -> Vec<(u32, Vec<i16>)> {
         self.line.all(|m| match m {
             BoardMessage::RawImu(raw) => {

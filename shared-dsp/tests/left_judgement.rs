@@ -2,7 +2,7 @@
 //!
 //! The test simulates ten wearers in virtual time, for 30 minutes each (3 minutes in the short version).
 //! The wearers hold the palm up, walk and shake the hand, and some have pins that pick up hum.
-//! It also measures the delay of intended tilts.
+//! The test also measures the delay of intended tilts.
 
 use std::f64::consts::TAU;
 
@@ -249,7 +249,7 @@ fn a_line_whose_fault_comes_back_within_10_s_stays_in_doubt_until_somebody_calib
     };
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 500), 0, "once is a touch");
-    // A fault that returns more than 10 s later counts as a new one.
+    // A fault that returns more than 10 s later counts as a new fault.
     assert_eq!(run(&mut wearer, 704.0, 11_000), 0);
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 9000), 0);

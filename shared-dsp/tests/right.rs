@@ -124,7 +124,8 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
 
 /// Builds a model that returns `sway` if the power across gravity is higher at 1.17 Hz than at 0.39 Hz.
 fn sway_blob(axes: usize) -> Vec<u8> {
-    // Each line of the spectrum has three axes and follows four other features; the hand sways along the second axis.
+    // The spectrum follows four other features, and each of its lines has three axes.
+    // The hand sways along the second axis.
     let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
     let scaling = vec![(60.0, 0.0); FeatureKind::Aligned.feature_count(axes)];
     blob_of(FeatureKind::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])

@@ -1,4 +1,5 @@
-//! Determines the maximum age of a frame from the board's clock. The times are arguments, because it reads no clock itself.
+//! Determines the maximum age of a frame from the board's clock.
+//! The times are arguments, because this module reads no clock.
 //!
 //! A frame contains the time of its newest sample on the board's clock.
 //! Only a round trip relates this clock to the laptop's.
@@ -15,7 +16,8 @@
 //! ```
 
 /// Maximum drift of a board's clock relative to the laptop's, in parts per million.
-/// This is far more than any board needs (an Arduino Nano's resonator has 5,000). With ten pings per second, it adds 5 ms.
+/// No board needs so much: the resonator of an Arduino Nano has only 5,000.
+/// With ten pings per second, this drift adds 5 ms.
 pub const DRIFT_PPM: u32 = 50_000;
 
 /// Converts a board's time to the laptop's time, and limits the age of the board's messages.
@@ -35,7 +37,8 @@ struct Anchor {
 
 impl Anchor {
     /// Returns the earliest time on the laptop's clock at which the board's clock can have shown `board_ms`.
-    /// Of all times that the wrapping clock can mean, it uses the one within 24 days of the anchor.
+    /// Because the clock wraps, `board_ms` can mean several times.
+    /// The result uses the time within 24 days of the anchor.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
         // Both time stamps are rounded down to milliseconds, so the true difference may be one millisecond shorter.
@@ -96,7 +99,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A clock with one round trip: the ping was sent at 1000, and the board showed 0.
+    /// A clock that has heard one answer: the ping was sent at 1000, when the board's clock showed 0.
     fn anchored() -> BoardClock {
         let mut clock = BoardClock::new();
         assert!(clock.pong(0, 1000, 1004));
@@ -177,8 +180,9 @@ mod tests {
     }
 
     proptest! {
-        /// For any allowed drift and any delays of pings, pongs and frames, no computed age is below the true one.
-        /// No computed age exceeds the true one by more than the travel time of the fastest recent ping.
+        /// No computed age is below the true age.
+        /// This holds for any allowed drift and any delays of pings, pongs and frames.
+        /// No computed age exceeds the true age by more than the travel time of the fastest recent ping.
         #[test]
         fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(
             ppm in -50_000i64..=50_000,
@@ -200,7 +204,7 @@ mod tests {
             }
         }
 
-        /// Even if a clock is 20 % too fast, the error is limited to what it gains between two pongs.
+        /// Even if a clock is 20 % too fast, the error is limited to what the clock gains between two pongs.
         #[test]
         fn a_clock_far_faster_than_allowed_hides_little(back_ms in 0u64..30) {
             let mut clock = BoardClock::new();

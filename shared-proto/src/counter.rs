@@ -1,4 +1,4 @@
-//! Interprets the wrapping numbers in a state, which reveal new events since the last frame and lost frames.
+//! Interprets the wrapping numbers in a state. They reveal lost frames and the events since the last frame.
 //!
 //! For each state, call [`SequenceTracker::see`] first, ignore states that are not new, and then update the event counters.
 //! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all trackers and counters.
@@ -6,7 +6,7 @@
 /// Converts a wrapping counter of events to the number of new events.
 ///
 /// The first value is the reference, because earlier events are not new.
-/// A repeated frame gives 0, and a frame after lost ones gives all events since the last received frame.
+/// A repeated frame gives 0, and a frame after lost frames gives all events since the last received frame.
 ///
 /// ```
 /// # use shared_proto::counter::CounterTracker;
@@ -33,7 +33,8 @@ impl CounterTracker {
     }
 
     /// Returns the number of events since the last value, at most [`Self::MOST`].
-    /// A larger increase means a restart or a very long silence. In this case, it returns 0 and sets a new reference.
+    /// A larger increase means a restart or a very long silence.
+    /// The method then returns 0 and sets a new reference.
     pub fn see(&mut self, value: u8) -> u8 {
         let new = value.wrapping_sub(self.last.unwrap_or(value));
         self.last = Some(value);
@@ -46,17 +47,17 @@ impl CounterTracker {
     }
 }
 
-/// How the sequence number of a frame relates to earlier ones.
+/// How the sequence number of a frame relates to earlier numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// The frame is newer than all earlier ones.
+    /// The frame is newer than all earlier frames.
     New {
-        /// Number of frames that are missing between the last one and this one.
+        /// Number of frames that are missing between the last frame and this frame.
         lost: u16,
     },
-    /// The frame has the same number as the last one. Ignore it.
+    /// The frame has the same number as the last frame. Ignore it.
     Duplicate,
-    /// The frame is older than the last one. Ignore it.
+    /// The frame is older than the last frame. Ignore it.
     /// Several such frames in a row mean that the board has restarted and its hello was lost.
     /// In this case, send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
     Old,
@@ -74,7 +75,7 @@ impl SequenceTracker {
         Self { last: None }
     }
 
-    /// Classifies a sequence number. The first one counts as new, without lost frames.
+    /// Classifies a sequence number. The first number counts as new, without lost frames.
     pub fn see(&mut self, sequence: u16) -> Order {
         let step = match self.last {
             None => 1,
@@ -154,7 +155,7 @@ mod tests {
                     0 | 1 => continue,
                     2 => line.extend([frame, frame]),
                     3 => {
-                        // This frame arrives after the next one, unless the next one has replaced it.
+                        // This frame arrives after the next frame, unless the next frame has replaced it.
                         if base.is_some() && held.is_none() {
                             held = Some(frame);
                         }

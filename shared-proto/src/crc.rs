@@ -1,5 +1,6 @@
 //! The CRC-32 of zip and Ethernet, computed bit by bit.
-//! A table would take half of the left board's RAM. The crate `crc`, if used for each byte, would take 1.4 KB of its flash.
+//! A table would take half of the left board's RAM.
+//! The crate `crc` would take 1.4 KB of the left board's flash if it were called for each byte.
 
 /// A running checksum. It is also used for model ids and for stored data on boards.
 ///

@@ -1,11 +1,11 @@
 //! Frames: converts messages to bytes that survive a noisy line, and converts them back.
 //!
 //! The format is `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`.
-//! The zero byte occurs only there, so a receiver that has lost its place waits for the next zero.
+//! The zero byte occurs only at the end, so a receiver that has lost its place waits for the next zero.
 //!
 //! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted, whatever precedes it.
 //! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
-//! This is harmless because empty frames are skipped.
+//! The additional delimiter is harmless, because empty frames are skipped.
 //! Damaged frames are counted and dropped, and never requested again.
 
 use crate::crc::Crc32;
@@ -36,7 +36,8 @@ pub const HOST_FRAME_MAX: usize = largest(HostMessage::ROWS, false);
 
 /// The caller's buffer is too small for the frame.
 ///
-/// If the buffer has the message's [`BoardBody::FRAME_MAX`], a text or list in the message exceeds its maximum length.
+/// If the buffer has [`BoardBody::FRAME_MAX`] bytes,
+/// a text or list in the message exceeds its maximum length.
 /// See [`message`](crate::message).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncodeError;
@@ -52,7 +53,7 @@ impl core::error::Error for EncodeError {}
 /// Writes the frame of a board's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
@@ -60,17 +61,17 @@ pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result
 /// Writes the frame of a laptop's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
 
 /// Writes the same frame as [`encode_board`], but needs only the body of the message.
 ///
-/// This saves flash on boards, because the program contains code only for the bodies that it sends.
+/// The function saves flash on boards, because the program contains code only for the bodies that it sends.
 ///
 /// # Errors
-/// [`EncodeError`] if `out` is too small; its content is then undefined.
+/// Returns an [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_body<'b, B: BoardBody>(body: &B, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     // A message's number is one byte on the wire, because there are fewer than 128.
     encode(&(B::NUMBER, body), out)
@@ -89,7 +90,7 @@ struct FrameWriter<'b> {
     code_at: usize,
     crc: Crc32,
     /// Whether any data did not fit in the buffer.
-    /// This is checked at the end, because a check after each byte would cost the left board 1 KB of flash.
+    /// The flag is checked only at the end. A check after each byte would cost the left board 1 KB of flash.
     full: bool,
 }
 
@@ -159,7 +160,7 @@ impl<'b> Flavor for FrameWriter<'b> {
 pub enum ParseError {
     /// A later minor version added this message. Ignore it.
     Unknown,
-    /// This is a known message with another layout, so the sender has another major version.
+    /// The message is known but has another layout, so the sender has another major version.
     Malformed,
 }
 
@@ -180,7 +181,7 @@ impl core::error::Error for ParseError {}
 /// [`Hello`](BoardMessage::Hello) is an exception: its fields are frozen, but later versions may append to it.
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message.
+/// Returns a [`ParseError`] if this version does not have such a message.
 pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || matches!(message, BoardMessage::Hello(_)) => Ok(message),
@@ -194,7 +195,7 @@ pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
 /// [`HelloRequest`](HostMessage::HelloRequest) is an exception, for the same reason as in [`parse_board`].
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message.
+/// Returns a [`ParseError`] if this version does not have such a message.
 pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
@@ -203,10 +204,10 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
 }
 
 /// Parses a laptop's message to a left board. Messages that only the right board knows are [`ParseError::Unknown`].
-/// For all other messages, it behaves like [`parse_host`] with much less code.
+/// For all other messages, the function behaves like [`parse_host`] with much less code.
 ///
 /// # Errors
-/// [`ParseError`] if this version does not have such a message for a left board.
+/// Returns a [`ParseError`] if this version does not have such a message for a left board.
 pub fn parse_left_request(payload: &[u8]) -> Result<LeftRequest, ParseError> {
     match LeftRequest::take(payload)? {
         (message, rest) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),
@@ -234,7 +235,8 @@ pub struct Counters {
     pub bad_cobs: u32,
     /// Number of damaged frames whose checksum is wrong or missing.
     pub bad_crc: u32,
-    /// Number of frames longer than the buffer, which are damaged or not for this receiver.
+    /// Number of frames that are longer than the buffer.
+    /// Such a frame is damaged or meant for another receiver.
     pub overflow: u32,
 }
 

@@ -1,4 +1,4 @@
-//! All messages of the wire, in one table for each direction.
+//! All messages on the wire, in one table for each direction.
 //!
 //! A row is `number Name fields => boards, minor version that added it`.
 //! The macro derives everything else about a message from its row: the place in the enum, the buffer sizes in
@@ -11,7 +11,7 @@
 //!
 //! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.
 //! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
-//! Every other change is a major one (see [`PROTOCOL_MAJOR`]).
+//! Every other change is a major change (see [`PROTOCOL_MAJOR`]).
 //! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
 
 use crate::frame::{ParseError, frame_len};
@@ -31,10 +31,10 @@ pub use signal::Signal;
 pub(crate) use table::largest;
 pub use table::{BoardBody, Boards, Row};
 
-/// This number increases when the layout of a message changes. Both sides must have the same number.
+/// The major version increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// This number increases when a message is added. The older side ignores messages that it does not know.
-pub const PROTOCOL_MINOR: u8 = 4;
+pub const PROTOCOL_MINOR: u8 = 5;
 
 board_messages! {
     /// Messages from a board to the laptop.
@@ -42,9 +42,9 @@ board_messages! {
         /// The board sends this at start, and in answer to [`HostMessage::HelloRequest`].
         #[serde(borrow)]
         0 Hello(Hello<'a>) => Both, 0;
-        /// The complete state of the left hand, at 50 Hz and immediately on a change.
+        /// The complete state of the left hand, which is sent at 50 Hz and immediately after a change.
         1 Left(LeftState) => Left, 0;
-        /// The complete state of the right hand, once per hop (80 ms).
+        /// The complete state of the right hand, which is sent once per hop (80 ms).
         #[serde(borrow)]
         2 Right(RightState<'a>) => Right, 0;
         /// The samples that entered the window. The board sends them only in record mode.
@@ -58,10 +58,11 @@ board_messages! {
         6 Pong(Pong) => Both, 0;
         /// The answer to every other request.
         7 Ack(Ack) => Both, 0;
-        /// The requirements and labels of the running model. A right hand sends them after each hello.
+        /// The requirements and labels of the running model.
+        /// A right hand's board sends them after each hello.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
-        /// The hardware of a right hand's board, which it sends after each hello.
+        /// The hardware of a right hand's board. The board sends this message after each hello.
         9 About(About) => Right, 1;
         /// One sample of a left hand's converter. The board sends it only in record mode.
         10 RawAdc(RawAdc) => Left, 3;
@@ -116,7 +117,7 @@ host_messages! {
         7 ModelCommit {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// CRC-32 of the complete blob, which is also the new model id.
+            /// CRC-32 of the complete blob. The same number is the new model id.
             crc32: u32,
         } => Right, 0;
         /// Plays a signal on a motor at the right hand's board, if one is connected.
@@ -125,6 +126,23 @@ host_messages! {
             /// The signal to play.
             signal: Signal,
         } => Right, 2;
+        /// Announces a new image of the board. Its pieces follow as [`HostMessage::ModelChunk`], and a
+        /// [`HostMessage::ModelCommit`] restarts the board with it.
+        9 ImageBegin {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// Size of the image's file in bytes.
+            size: u32,
+            /// CRC-32 of the file.
+            crc32: u32,
+        } => Right, 5;
+        /// Asks whether the image of this file runs. If it does, the board keeps it.
+        10 ImageConfirm {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// CRC-32 of the file.
+            crc32: u32,
+        } => Right, 5;
     }
 }
 
@@ -150,11 +168,11 @@ pub struct LeftState {
     pub pitch_mrad: i16,
     /// Tilt about the forward axis in milliradians, positive = left.
     pub roll_mrad: i16,
-    /// The debounced heading that the tilt means.
+    /// The debounced heading that follows from the tilt.
     pub heading: Heading,
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index_bends: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -169,7 +187,7 @@ pub struct RightState<'a> {
     pub sequence: u16,
     /// Time of the window's newest sample on the board's clock, which wraps after 49 days.
     pub board_time_ms: u32,
-    /// Number of gestures performed since start, which wraps.
+    /// Number of gestures that were performed since the start. The number wraps.
     pub events: u8,
     /// Index of the last event's gesture in the model's labels; 255 before the first event.
     pub label: u8,
@@ -222,7 +240,7 @@ pub struct Status {
     pub bad_frames: u32,
     /// Minimum free stack since start, in bytes.
     pub free_stack_bytes: u32,
-    /// Share of time awake since the last status, in parts per thousand.
+    /// Share of the time since the last status in which the processor was awake, in parts per thousand.
     pub load_permille: u16,
     /// The mode of the board.
     pub mode: Mode,
@@ -256,7 +274,7 @@ open_list! {
     FaultKind {
         /// The sensor does not answer; the detail is its bus address.
         SensorMissing = 0,
-        /// The sensor is not the expected one; the detail is its WHO_AM_I value.
+        /// The sensor is not the expected sensor; the detail is its WHO_AM_I value.
         SensorUnknown = 1,
         /// The board is a Rev2, which images of version 0.1.0 did not support. Later images do.
         BoardRev2 = 2,
@@ -268,9 +286,9 @@ open_list! {
         Panic = 5,
         /// The stored calibration was damaged, so the default is used.
         CalibrationDamaged = 6,
-        /// The stored model was damaged or cannot run on this image, so the compiled-in one is used.
+        /// The stored model was damaged or cannot run on this image, so the compiled-in model is used.
         ModelDamaged = 7,
-        /// The running model reads a magnetometer that this board does not have, so no gesture is recognised;
+        /// The running model reads a magnetometer that this board does not have, so no gesture is recognised.
         /// The detail is the sensor's number of axes.
         NoMagnetometer = 8,
     }
@@ -313,7 +331,7 @@ open_list! {
         Unsteady = 5,
         /// The model's recipe, axes, rate, window or size does not fit this image.
         ModelDoesNotFit = 6,
-        /// The piece of the model is not the expected one.
+        /// The offset of the model's piece is not the expected offset.
         WrongOffset = 7,
         /// The checksum differs.
         BadChecksum = 8,
@@ -321,6 +339,10 @@ open_list! {
         StorageFailed = 9,
         /// Writes need a bonded link.
         NotBonded = 10,
+        /// The board does not accept the image: it is for another board, or its signature is not valid.
+        ImageRefused = 11,
+        /// The board went back to its old image, because the new one did not say hello before a restart.
+        ImageWentBack = 12,
     }
 }
 
@@ -371,7 +393,8 @@ pub struct ModelBegin<'a> {
     /// The sensor scale that was used in training, as a multiple of the data sheets' scale.
     /// The values are for accelerometer, gyroscope and magnetometer.
     /// For two of the sensors, Arduino's library uses a factor of 1.1469.
-    /// Boards use the data sheets' scale and refuse models with another scale, because gestures would need another tempo.
+    /// Boards use the data sheets' scale and refuse models with another scale.
+    /// With such a model, gestures would need another tempo.
     pub scaling: [f32; 3],
     /// Length of the complete blob in bytes.
     pub size: u32,

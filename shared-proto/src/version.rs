@@ -31,7 +31,7 @@ pub struct Mismatch {
 /// Compares a board's version with ours.
 ///
 /// # Errors
-/// [`Mismatch`] if the major versions differ. Accept no other message from such a board.
+/// Returns a [`Mismatch`] if the major versions differ. Accept no other message from such a board.
 /// Send only [`HelloRequest`](crate::message::HostMessage::HelloRequest) to such a board.
 pub fn check(hello: &Hello<'_>) -> Result<Compatibility, Mismatch> {
     if hello.major != PROTOCOL_MAJOR {

@@ -101,6 +101,8 @@ fn host_messages() -> Vec<HostMessage<'static>> {
         HostMessage::ModelChunk { request: 12, offset: 128, data: Bytes(&[0, 1, 2, 0, 255]) },
         HostMessage::ModelCommit { request: 13, crc32: 0xCAFE_F00D },
         HostMessage::Feel { signal: Signal::Stopped },
+        HostMessage::ImageBegin { request: 14, size: 256_000, crc32: 0xCAFE_F00D },
+        HostMessage::ImageConfirm { request: 15, crc32: 0xCAFE_F00D },
     ]
 }
 
@@ -198,7 +200,7 @@ fn the_wire_has_not_changed_without_a_new_version() {
     std::fs::write(&path, format!("{version}\n{}\n", now.join("\n"))).unwrap();
 }
 
-/// Otherwise, the test would not notice a message that is missing in this file.
+/// Without this check, the tests would not notice a message that is missing in this file.
 #[test]
 fn every_message_is_in_the_list() {
     let board: Vec<Row> = board_messages().iter().map(|message| *message.row()).collect();
@@ -283,7 +285,7 @@ fn wire_md_shows_the_true_bytes() {
     }
     let rows = page.lines().filter(|line| line.starts_with("| `")).count();
     assert_eq!(rows, BoardMessage::ROWS.len() + HostMessage::ROWS.len(), "WIRE.md has a row of no message");
-    // The second byte of a frame is the message's number, unless that is 0.
+    // The second byte of a frame is the message's number, unless this number is 0.
     for (number, message) in host_messages().iter().enumerate().skip(1) {
         assert_eq!(usize::from(host_frame(message)[1]), number);
     }

@@ -64,7 +64,7 @@ fn mutate(rng: &mut Rng, stream: &mut Vec<u8>, donor: &[u8]) {
         7 => {
             stream.drain(..at);
         }
-        // Inserts a part of the stream again at another place.
+        // Inserts a copy of a part of the stream at another place.
         8 => {
             let copy = stream[part(rng, stream.len())].to_vec();
             stream.splice(at..at, copy);
@@ -107,7 +107,7 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     let mut rest = stream;
     let mut whole = 0;
     // A chunk is valid if it equals a sent frame and ends with a delimiter.
-    // The delimiter before it belongs to the previous chunk, unless the stream starts here.
+    // The delimiter before the chunk belongs to the previous chunk, unless the stream starts here.
     while let Some(end) = rest.iter().position(|&byte| byte == DELIMITER) {
         let chunk = &rest[..end];
         // Frames in this test are short enough for one code byte, so the decoded length is one less.
@@ -136,7 +136,7 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     tally.damaged += u64::from(counters.damaged());
 }
 
-/// Decodes a frame of blocks shorter than 254 bytes by the definition of COBS.
+/// Decodes a frame by the definition of COBS, if all its blocks are shorter than 254 bytes.
 /// In such a frame, each code byte is the distance to the next zero.
 fn unstuffed(chunk: &[u8]) -> impl Iterator<Item = u8> {
     let mut next_code = usize::from(chunk[0]);

@@ -1,4 +1,5 @@
-//! Checks that every message can be decoded from its frame and fits its maximum size, and that no other bytes are a message.
+//! Checks that every message can be decoded from its frame and fits its maximum size.
+//! Also checks that no other bytes are accepted as a message.
 
 mod common;
 
@@ -111,7 +112,7 @@ proptest! {
         prop_assert!(bytes.iter().all(|&byte| tiny.push(byte).is_none()));
     }
 
-    /// Long payloads contain blocks of 254 bytes without a zero, which our messages do not.
+    /// Long payloads contain blocks of 254 bytes without a zero. Our messages contain no such blocks.
     /// Another implementation encoded the frames in this test.
     #[test]
     fn the_decoder_agrees_with_the_cobs_of_postcard_and_a_table_driven_crc(
@@ -162,7 +163,7 @@ fn the_largest_message_of_each_kind_has_the_stated_size() {
     }
 }
 
-/// These are the sizes in protocol 1.4, which boards with little memory reserve.
+/// These are the sizes in protocol 1.5, which boards with little memory reserve.
 #[test]
 fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];

@@ -8,7 +8,7 @@ pub fn is_rest(label: &str) -> bool {
 
 /// Compares the letters and digits of `label` with `word`, which is in lower case. The case of `label` does not matter.
 fn is_same(label: &str, word: &str) -> bool {
-    // Only ASCII letters are compared, because boards have no room for tables of others.
+    // Only ASCII letters are compared, because boards have no room for tables of other letters.
     let letters = label.chars().filter(|c| !c.is_ascii() || c.is_ascii_alphanumeric());
     letters.map(|c| c.to_ascii_lowercase()).eq(word.chars())
 }

@@ -3,7 +3,7 @@
 //! `shared-dsp` computes these types without depending on the wire.
 //! `shared-proto` sends these types without depending on the computation.
 //! The laptop acts on the results.
-//! With the feature `serde`, they can be sent as numbers on the wire and written as lower-case texts in files.
+//! With the feature `serde`, the types become numbers on the wire and lower-case texts in files.
 #![no_std]
 #![forbid(unsafe_code)]
 

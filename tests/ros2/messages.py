@@ -87,6 +87,12 @@ class Pose(IdlStruct, typename=_name("geometry_msgs", "msg", "Pose")):
 
 
 @dataclass
+class PoseStamped(IdlStruct, typename=_name("geometry_msgs", "msg", "PoseStamped")):
+    header: Header
+    pose: Pose
+
+
+@dataclass
 class PoseWithCovariance(IdlStruct, typename=_name("geometry_msgs", "msg", "PoseWithCovariance")):
     pose: Pose
     covariance: array[float64, 36]

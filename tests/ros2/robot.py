@@ -3,7 +3,8 @@ everything that arrives and moves, one JSON object per line on standard output.
 
 `peer.py` puts it on Eclipse Cyclone DDS, `rclpy_peer.py` on ROS 2's own client library and Fast DDS. What it does with
 what it is told is in `controllers.py`. A line on standard input is an order: `joints on|off`,
-`arm accept|reject|silent|late`, `pace FACTOR`, `flag TOPIC on|off` (a latched std_msgs/Bool), `quit`.
+`arm accept|reject|silent|late`, `pace FACTOR`, `flag TOPIC on|off` (a latched std_msgs/Bool), `thing TOPIC FRAME X Y Z AGE`
+(a PoseStamped at 20 Hz, measured so many s ago; `thing off` ends it), `quit`.
 """
 
 import argparse
@@ -68,6 +69,10 @@ def options(description):
     parser.add_argument("--lag", type=float, default=0.0, help="the joints follow late, as a filter of so many s")
     parser.add_argument("--following-error", type=float, default=0.0, help="rad by which moving joints are short")
     parser.add_argument("--start-offset", type=float, default=0.0, help="rad by which every joint starts off home")
+    parser.add_argument("--joints", default=",".join(JOINTS), help="the arm's joints, as its controller has them")
+    parser.add_argument("--start", help="where they begin (default: the Gen3's home)")
+    parser.add_argument("--arm-controller", default="joint_trajectory_controller")
+    parser.add_argument("--description", help="publishes this URDF as robot_state_publisher does")
     parser.add_argument("--say-angles", action="store_true", help="a line per joint state that it sends")
     parser.add_argument("--noise", type=float, default=0.0, help="rad of noise on the reported angles (deviation)")
     parser.add_argument("--wrap", action="store_true", help="joints 1, 3, 5 and 7 are reported within one turn")
@@ -92,13 +97,15 @@ class Robot:
         self.started = time.monotonic()
         self.orders = []
         self.flags = {}
+        self.things, self.thing = {}, None
         self.mode = "accept"
         self.joints = opts.robot
         self.random = random.Random(1)
         self.base = Base()
         self.base_said = self.base.speed
-        start = [angle + opts.start_offset for angle in HOME]
-        self.arm = Arm(JOINTS, start, opts.pace, opts.lag, opts.following_error, WITHOUT_END if opts.wrap else ())
+        start = [float(angle) for angle in opts.start.split(",")] if opts.start else HOME
+        start = [angle + opts.start_offset for angle in start]
+        self.arm = Arm(opts.joints.split(","), start, opts.pace, opts.lag, opts.following_error, WITHOUT_END if opts.wrap else ())
         self.arm_moved = False
         space = opts.namespace
         self.clock = net.writer("/clock", "Clock") if opts.sim_time else None
@@ -117,13 +124,18 @@ class Robot:
         if opts.odom:
             self.odom = net.writer(f"{space}/odom", "Odometry")
         if opts.robot:
-            name = f"{space}/joint_trajectory_controller"
+            name = f"{space}/{opts.arm_controller}"
             self.states = net.writer(f"{space}/joint_states", "JointState")
             self.controller_state = net.writer(f"{name}/controller_state", "JointTrajectoryControllerState")
             net.listen(f"{name}/joint_trajectory", "JointTrajectory", self.trajectory)
             if opts.action:
                 self.follow = net.action(f"{name}/follow_joint_trajectory", "FollowJointTrajectory", self.judge,
                                          self.goal, self.cancel)
+        if opts.description:
+            with open(opts.description, encoding="utf-8") as file:
+                text = file.read()
+            self.describe = net.writer(f"{space}/robot_description", "String", latched=True)
+            self.describe(ros.String(data=text))
         if opts.gripper:
             self.gripper = Gripper(blocked_m=opts.blocked)
             kind = "ParallelGripperCommand" if opts.gripper == "parallel" else "GripperCommand"
@@ -251,8 +263,20 @@ class Robot:
             self.move_gripper(wall, now)
         if self.odom is not None and count % 2 == 0:
             self.odom(self.odometry_message(now))
+        if self.thing is not None and count % 5 == 0:
+            self.tell_thing(now)
         if count % 25 == 0:
             self.net.look()
+
+    def tell_thing(self, now):
+        topic, frame, x, y, z, age_s = self.thing
+        if topic not in self.things:
+            self.things[topic] = self.net.writer(topic, "PoseStamped")
+        ros = self.ros
+        header = ros.Header(stamp=ros.Time(**split(now - float(age_s))), frame_id=frame)
+        pose = ros.Pose(position=ros.Point(x=float(x), y=float(y), z=float(z)),
+                        orientation=ros.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0))
+        self.things[topic](ros.PoseStamped(header=header, pose=pose))
 
     def header(self, now):
         return self.ros.Header(stamp=self.ros.Time(**split(now)), frame_id="")
@@ -270,7 +294,7 @@ class Robot:
         arm.finished.clear()
         if self.joints:
             angles = [p + self.random.gauss(0.0, self.opts.noise) for p in arm.reported()]
-            self.states(ros.JointState(header=self.header(now - self.opts.states_late), name=JOINTS, position=angles,
+            self.states(ros.JointState(header=self.header(now - self.opts.states_late), name=arm.names, position=angles,
                                        velocity=arm.velocity, effort=[]))
             if self.opts.say_angles:
                 say(event="angles", t=wall, position=angles)
@@ -278,7 +302,7 @@ class Robot:
             self.controller_state(self.state_message(now))
         if count % 10 == 0 and arm.goal is not None:
             desired, actual, error = self.three_points()
-            self.follow.feedback(arm.goal, {"header": self.header(now), "joint_names": JOINTS, "desired": desired,
+            self.follow.feedback(arm.goal, {"header": self.header(now), "joint_names": arm.names, "desired": desired,
                                             "actual": actual, "error": error})
 
     def point(self, positions, velocities, at_s=0.0):
@@ -300,7 +324,7 @@ class Robot:
         none = lambda: ros.MultiDOFJointTrajectoryPoint(transforms=[], velocities=[], accelerations=[],
                                                         time_from_start=ros.Duration(**split(0.0)))
         return ros.JointTrajectoryControllerState(
-            header=self.header(now), joint_names=JOINTS, reference=desired, feedback=actual, error=error,
+            header=self.header(now), joint_names=self.arm.names, reference=desired, feedback=actual, error=error,
             output=self.point(self.arm.command, []), multi_dof_joint_names=[], multi_dof_reference=none(),
             multi_dof_feedback=none(), multi_dof_error=none(), multi_dof_output=none(), speed_scaling_factor=1.0)
 
@@ -347,6 +371,10 @@ class Robot:
                     if topic not in self.flags:
                         self.flags[topic] = self.net.writer(topic, "Bool", latched=True)
                     self.flags[topic](self.ros.Bool(data=word == "on"))
+                case ["thing", "off"]:
+                    self.thing = None
+                case ["thing", *thing]:
+                    self.thing = thing
                 case ["quit"] | []:
                     return False
         return time.monotonic() - self.started < self.opts.seconds

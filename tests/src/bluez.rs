@@ -1,5 +1,5 @@
 //! Simulates BlueZ, the system's Bluetooth service, on a private D-Bus.
-//! It implements only what is needed to find, connect and use one board. There is no radio.
+//! The simulation implements only what is needed to find, connect and use one board. There is no radio.
 //!
 //! The board is any device on a serial port, such as an emulated board's pseudo-terminal.
 //! Bytes from the board become notifications, and writes become input of the board.

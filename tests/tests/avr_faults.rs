@@ -160,7 +160,7 @@ fn random_bytes_on_the_line_disturb_nothing() {
         // The number of bytes is the capacity of the emulated line.
         // Zeros are delimiters, so there are many short frames.
         let mut noise: Vec<u8> = (0..10_650).map(|_| if rng.u8(..) < 20 { 0 } else { rng.u8(..) }).collect();
-        // Some frames are valid frames with damage.
+        // Some frames are damaged copies of valid frames.
         let mut frame = [0; 64];
         let request = HostMessage::Calibrate { request: 1, step: CalibrationStep::Reset };
         let frame = shared_proto::frame::encode_host(&request, &mut frame).unwrap();
@@ -287,7 +287,7 @@ fn a_program_that_hangs_is_reset_and_says_so_whatever_bootloader_hides_the_reaso
         assert_eq!(session.nano.resets(), 1, "optiboot {optiboot}");
         assert!(watchdog(&heard), "optiboot {optiboot}: the restart is reported");
         assert!(boot(&heard).is_some() && boot(&heard) != boot(&start), "with a new boot id");
-        // The reset button, or a laptop that opens the port, is not a fault.
+        // A press of the reset button, or a laptop that opens the port, is not a fault.
         session.nano.reset();
         let heard = session.run_ms(1000.0);
         assert!(boot(&heard).is_some() && !watchdog(&heard), "optiboot {optiboot}: {heard:?}");
@@ -366,7 +366,8 @@ fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
 }
 
-/// Tests what remains of the old bootloader's endless reset: the board is silent, the robot is at rest, and a reset helps.
+/// Under the old bootloader, a program that hangs with interrupts disabled is not reset.
+/// The board is silent, the robot is at rest, and a reset helps.
 #[test]
 fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {
     let (mut session, hand) = powered(&BLANK, 26);
@@ -408,7 +409,7 @@ fn the_watch_on_the_reference_sees_a_wrong_one() {
     session.run_ms(100.0);
 }
 
-/// Poses of the two calibrations: the one before the power cut, and the one after it.
+/// The pose of the calibration before the power cut, and the pose of the calibration after it.
 const OLD_POSE: f64 = 0.0;
 const NEW_POSE: f64 = 0.12;
 

@@ -41,7 +41,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         street.run_ms(500);
         let mut latencies = Vec::new();
         for phase in 0..phases {
-            // The steps are spread evenly over the 10 ms sample period. Each one starts at rest in neutral.
+            // The steps are spread evenly over the 10 ms sample period. Each step starts at rest in neutral.
             let at = (street.now_ms() / 10 + 5) * 10 * CYCLES_PER_MS + phase * 10 * CYCLES_PER_MS / phases;
             step.borrow_mut().0 = at;
             while !street.moves() {
@@ -60,7 +60,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         let (median, worst) = (latencies[latencies.len() / 2], latencies[latencies.len() - 1]);
         println!("{degrees:>7}°{median:>12.1}{worst:>12.1}{:>10}", 150);
         println!(
-            "paper: a tilt to {degrees:.0}° to the wheels, median and worst | not stated | {median:.0} and {worst:.0} ms"
+            "paper: time from a tilt to {degrees:.0}° until the wheels react, median and maximum | not stated | {median:.0} and {worst:.0} ms"
         );
         // A tilt counts only if it persists, so that movements of a walking or shaken hand are not commands.
         assert!(worst <= 150.0, "{degrees}°: {worst:.1} ms");

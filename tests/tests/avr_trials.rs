@@ -29,7 +29,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     println!("paper: tilts mistaken for the opposite | not stated | {reversed}");
     if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
         println!(
-            "paper: start of a tilt to its command, median and worst | not stated | {median:.0} and {worst:.0} ms"
+            "paper: time from the start of a tilt until its command, median and maximum | not stated | {median:.0} and {worst:.0} ms"
         );
     }
     for (place, direction) in DIRECTIONS.into_iter().enumerate() {

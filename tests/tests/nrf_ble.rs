@@ -37,7 +37,7 @@ fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
     let count = softdevice.central.advertisements;
     println!("{count} advertisements in the first second");
     assert!((24..=34).contains(&count));
-    // The only restart is that of the first start, which configures the reset pin.
+    // The board restarts only once, because the first start configures the reset pin.
     assert_eq!(session.board.resets, [4]);
 }
 
@@ -153,8 +153,9 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
         100.0 * share,
         100.0 * own as f64 / session.board.now() as f64
     );
-    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
-    // The specification also gives 3.16 uA asleep with RAM and RTC.
+    // According to the nRF52840 product specification, the processor draws 52 uA/MHz awake.
+    // This value is for code in flash at 3 V with the DC/DC converter.
+    // Asleep with RAM and RTC, the processor draws 3.16 uA.
     println!(
         "processor current implied {:.0} uA (radio and sensor come on top)",
         share * 0.052 * 64e3 + 3.16

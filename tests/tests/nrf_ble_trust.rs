@@ -206,8 +206,8 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     println!("dropped samples so far: {worst:?}");
 }
 
-/// S140 requires an authenticated packet every 480 s. Without one, nrf-softdevice panics
-/// if the laptop does not support LE Ping.
+/// S140 requires an authenticated packet every 480 s.
+/// Without such a packet, nrf-softdevice panics if the laptop does not support LE Ping.
 #[test]
 fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
     let mut session = RightRig::ble_ready();

@@ -150,7 +150,8 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
     assert!(session.board.in_bootloader, "its bootloader feeds the watchdog");
 }
 
-/// Tests the divider of 1 MΩ and 510 kΩ. If its lower end is not low, the pin gets the battery's voltage.
+/// Tests the divider of 1 MΩ and 510 kΩ.
+/// If the divider's lower end is not low, the pin gets the battery's voltage.
 #[test]
 fn the_xiao_measures_its_battery() {
     for (battery_mv, later_mv) in [(3300.0, None), (4150.0, Some(3950.0))] {
@@ -227,7 +228,8 @@ fn drives(session: &mut RightRig, start: u64) -> Vec<(u64, f64)> {
     drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
 }
 
-/// Compares the duty cycles and times, with a tolerance of some milliseconds because a frame takes one millisecond on the wire.
+/// Compares the duty cycles and times.
+/// The tolerance is some milliseconds, because a frame takes one millisecond on the wire.
 fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
     assert_eq!(seen.len(), wanted.len(), "{what}: {seen:?}");
     for ((at_ms, high), (wanted_ms, wanted_high)) in seen.iter().zip(wanted) {

@@ -1,5 +1,5 @@
-//! Measures the cost of recognition on the board (instructions, time awake and memory), and compares it with the paper's
-//! and other results.
+//! Measures the cost of recognition on the board: instructions, time awake and memory.
+//! Compares these results with those of the paper and of other implementations.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::aligned::AlignedWindow;
@@ -13,7 +13,7 @@ use tests::nrf::lsm9ds1::{Motion, Still};
 use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{install, random_model};
 
-/// Returns the motion of a hand that never rests.
+/// The motion of a hand that never rests.
 struct Wild;
 
 impl Motion for Wild {
@@ -56,8 +56,8 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         let board = &mut session.board;
         names.iter().map(|name| if stack { board.probe_stack(name) } else { board.probe(name) }).collect()
     };
-    // The stack is filled with a pattern again before the layers, so that the calculation of the inputs does not count,
-    // as in the other measurements.
+    // Before the layers, the stack is filled with a pattern again.
+    // As in the other measurements, the calculation of the inputs therefore does not count.
     let forward = probe(&forward, true);
     let inputs_and_forward = probe(&inputs_and_forward, true);
     let softmax = probe(&softmax, true);
@@ -84,7 +84,7 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         network,
         to_int8: instructions(&inputs_and_forward).0 - instructions(&forward).0,
         worst_sample: *samples[320..].iter().max().expect("samples"),
-        // The two functions run one after another, and the logits are above both on the stack.
+        // The two functions run one after another, and the logits are above their frames on the stack.
         stack: stack(&inputs_and_forward).max(stack(&softmax)) + MAX_LABELS as u64,
         awake_share,
     }
@@ -115,8 +115,9 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
         cost.awake_share * 100.0
     );
-    // From the nRF52840 product specification: 52 uA/MHz awake, from flash at 3 V with DC/DC converter.
-    // The specification also gives 3.16 uA asleep with RAM and RTC.
+    // According to the nRF52840 product specification, the processor draws 52 uA/MHz awake.
+    // This value is for code in flash at 3 V with the DC/DC converter.
+    // Asleep with RAM and RTC, the processor draws 3.16 uA.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,
@@ -143,8 +144,8 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // Results of other implementations and of the paper, from ../shared/reference/peers.md.
-    // They apply to the network with softmax, calculated from int8 inputs.
+    // The results of other implementations and of the paper are from ../shared/reference/peers.md.
+    // The results apply to the network with softmax, calculated from int8 inputs.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -200,11 +201,11 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
 }
 
 /// Current in mA of each sensor as the images configure it, from its data sheet.
-/// The LSM9DS1 has 4.0 for the gyroscope and 0.6 for accelerometer and magnetometer. The BMI270 is in performance mode,
-/// and the LSM6DS3TR-C in high-performance mode.
+/// The LSM9DS1 draws 4.0 mA for the gyroscope and 0.6 mA for accelerometer and magnetometer.
+/// The BMI270 is in performance mode, and the LSM6DS3TR-C is in high-performance mode.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
-/// Current of the nRF52840: awake 52 uA/MHz, from flash at 3 V with DC/DC converter. The next value is for sleep with
-/// RAM and clock.
+/// Current of the nRF52840 awake: 52 uA/MHz, for code in flash at 3 V with the DC/DC converter.
+/// The next value is the current asleep, with RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
 const ASLEEP_MA: f64 = 0.003_16;
 
@@ -233,8 +234,9 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
     }
 }
 
-/// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
-/// The sensor must keep running: the dead-man rule requires fresh samples.
+/// Calculates how much current the board would save if it paused the classifier at rest.
+/// The saving is the classifier's share of the processor time.
+/// The sensor must keep running, because the dead-man rule requires fresh samples.
 /// In addition, the window of a gesture starts before the gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
@@ -260,7 +262,7 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
                 100.0 * saved / mah
             );
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
-            // This is the maximum saving from pausing the classifier at rest, on the board with the lowest sensor current.
+            // The test computes the maximum saving on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
         }
     }

@@ -227,7 +227,8 @@ fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
 
 #[test]
 fn a_setting_that_did_not_arrive_is_noticed_at_the_start_and_a_lost_one_later() {
-    // CTRL_REG6_XL: the accelerometer would stay at ±2 g. FIFO_CTRL and CTRL_REG9: the FIFO would be off.
+    // Without CTRL_REG6_XL, the accelerometer would stay at ±2 g.
+    // Without FIFO_CTRL or CTRL_REG9, the FIFO would be off.
     for register in [0x20, 0x23] {
         let wire = Wire::new(Lsm9ds1::new(Box::new(Still)));
         notices(&mut Driver::new(wire.clone(), Config::default()), &wire, 0x6B, register);
@@ -378,7 +379,7 @@ fn an_imu_of_ones_own_comes_out_at_100_hz() {
         values.extend(grid.sample(imu.now_us));
     }
     assert!(values.len() > 290, "{} of 300", values.len());
-    // The values count tenths of a millisecond: 100 per sample, once the sensor's rate is known.
+    // The values count tenths of a millisecond. Once the sensor's rate is known, two samples differ by 100.
     for pair in values[100..].windows(2) {
         assert!((98..=102).contains(&(pair[1][0] - pair[0][0])), "{pair:?}");
     }

@@ -170,7 +170,7 @@ const CLOCK_RATIO: f64 = 1.013;
 struct Resampled {
     session: RightRig,
     window: Window,
-    /// Differences between sample and row in counts, each with its tolerance; only the first six axes.
+    /// Differences between sample and row in counts, each with its tolerance, for the first six axes only.
     errors: Vec<(f64, f64)>,
 }
 
@@ -179,8 +179,8 @@ struct Resampled {
 ///
 /// Between two rows the hand moves along a straight line.
 /// Let m and m' be the slopes before and after a row, in counts per ms.
-/// The sensor takes a set every p ms and rounds it, which adds half a count.
-/// The grid interpolates linearly between sets and rounds again, which adds half a count.
+/// The sensor measures every p ms and rounds the values. This rounding adds an error of up to half a count.
+/// The grid interpolates linearly between measurements and rounds again, which adds up to half a count more.
 /// An interpolation across the corner at a row has an error of at most |m' − m| · p / 4.
 /// A time error of [`TIMING_MS`] adds its product with the steeper slope.
 /// The magnetometer (80 Hz) is not interpolated: its newest value was taken between the previous and the next row.
@@ -266,7 +266,7 @@ fn on_real_recordings_a_xiao_computes_what_the_laptop_does() {
 }
 
 fn equals_on_real_recordings(kind: Kind) {
-    // Maximum per class, then the required minimum of all.
+    // Maximum number of recordings per class, and required numbers of recordings and hops in total.
     let (most, least_recordings, least_hops) = match (is_full(), kind) {
         (true, _) => (146, 100, 2000),
         (false, Kind::Nano33) => (13, 52, 1000),
@@ -356,7 +356,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     let from = window.at.iter().position(|&at| at >= 2 * HZ).unwrap();
     let minute = window.at[from..].iter().filter(|&&at| at < 62 * HZ).count();
     let status = session.heard.statuses.last().unwrap();
-    // Returns the difference from the true motion at the grid time minus the specified delay.
+    // The true motion is the motion at the grid time minus the specified delay.
     let scale = SCALE;
     let mut worst = [0.0f64; 2];
     let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
@@ -381,7 +381,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
     // The maximum error of the time of a set on the grid.
     // At these ratios, 200 and 208 Hz are 25/12, 13/6 and exactly 2 times 100 Hz.
-    // Polls then occur at only a few phases of the sensor's period, or even at only one.
+    // Polls then occur at only a few phases of the sensor's period, or even at a single phase.
     // Within that interval, the age of a set remains uncertain, equally for all samples, until the clocks drift.
     let period_ms = if kind == Kind::Nano33 { 0.0 } else { ratio * 1000.0 / sensor_hz(kind) };
     let timing_ms = TIMING_MS + period_ms;
@@ -395,7 +395,7 @@ fn offset(session: &RightRig) -> f64 {
     session.board.clock_start() as f64 / HZ as f64
 }
 
-/// Tests models that replace the bundled one over the wire.
+/// Tests models that replace the bundled model over the wire.
 #[test]
 fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
     let mut script = Vec::new();

@@ -89,7 +89,8 @@ fn a_sensor_that_takes_35_ms_to_start_is_no_fault() {
 #[test]
 fn a_lost_setting_of_the_scale_is_noticed_and_set_again() {
     let mut session = RightRig::uart(Box::new(Still));
-    // CTRL_REG6_XL: the accelerometer would stay at ±2 g, so the gravity of a resting hand would double.
+    // Without CTRL_REG6_XL, the accelerometer would stay at ±2 g.
+    // The gravity of a resting hand would then double.
     session.board.soc().bus.sensor.lose_write(0x20);
     session.run_ms(1000);
     session.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });

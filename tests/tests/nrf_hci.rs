@@ -1,7 +1,11 @@
-//! The image with Nordic's controller and the host `trouble` inside, against bumble: Google's Bluetooth stack is the other
-//! controller, the link between the two, and the laptop. What is above HCI is the code that users flash.
+//! Tests the image that contains Nordic's controller and the host stack `trouble`.
+//! Bumble runs on the other side of the radio link.
+//! Bumble is Google's Bluetooth stack. It simulates the other controller, the radio link and the laptop.
+//! Everything above HCI is the code that users flash.
 //!
-//! Modelled, and no proof of a radio: when packets pass (`src/nrf/controller/link.rs`), time slots for flash, data length, PHY.
+//! Some parts are modelled and prove nothing about a real radio.
+//! The models are the times at which packets pass (`src/nrf/controller/link.rs`), the time slots for flash,
+//! the data length and the PHY.
 #![cfg(feature = "nrf")]
 
 use serde_json::{Value, json};
@@ -17,29 +21,31 @@ use tests::nrf::time::ms;
 use tests::nrf::transfer::{announce, begin, model_id, random_model};
 
 const SERVICE: &str = "B1A40001-6D61-4E75-A1B2-5C3D9E7F0A33";
-/// The one restart is the first start's, which sets up the reset pin.
+/// The board restarts only once, because its first start configures the reset pin.
 const STARTED_ONCE: [u32; 1] = [4];
-/// Two pages of bonds.
+/// The two pages of flash that store bonds.
 const BONDS: std::ops::Range<usize> = 0xD6000..0xD8000;
-/// SMP: the board wants something else than what the laptop offers.
+/// SMP error code: the board requires an authentication that the laptop does not offer.
 const AUTHENTICATION_REQUIREMENTS: u64 = 3;
 
-/// A board that lies still and has started.
+/// Creates a board that lies still and has started.
 fn rig() -> RightRig {
     let mut rig = RightRig::air(Kind::Nano33, Box::new(Still));
     rig.run_ms(700);
     rig
 }
 
-/// The same with a bonded laptop that listens, at this interval in ms.
+/// Creates such a board with a bonded and subscribed laptop, at this connection interval in ms.
 fn joined(interval: f64) -> RightRig {
     let mut rig = rig();
     rig.join(interval);
     rig
 }
 
-/// The samples that the image took since the tap have successive numbers on its grid of 100 Hz, whose times it gives in whole
-/// ms: none is missing and none came twice.
+/// Checks the samples that the image has taken since the tap, and returns their number.
+/// The numbers of these samples must be consecutive.
+/// Their times (in whole ms) must fit the image's grid of 100 Hz.
+/// No sample may be missing, and none may occur twice.
 fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
     let samples = rig.board.tapped(tap);
     for pair in samples.windows(2) {
@@ -80,7 +86,7 @@ fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_samp
     assert_eq!((&paired["encrypted"], &paired["sc"]), (&json!(true), &json!(true)));
     rig.settle_in();
     rig.run_ms(3000);
-    // It has asked for the shortest interval, and for what makes the radio fast.
+    // The board has requested the shortest interval, and the settings that make the radio fast.
     let (interval, radio) = (rig.board.controller().interval(), rig.board.controller().radio());
     println!("interval {:.2} ms, radio {radio:?}", interval.unwrap() as f64 / ms(1) as f64);
     assert!(interval.unwrap() <= ms(15));
@@ -116,14 +122,14 @@ fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
     let refused = rig.want(json!({"do": "write", "uuid": IN, "bytes": "00", "response": true}));
     let deaf = rig.want(json!({"do": "subscribe", "uuid": OUT}));
     println!("write: {refused:?}; subscribe: {deaf:?}");
-    // Insufficient authentication, authorization or encryption.
+    // These codes mean insufficient authentication, authorization or encryption.
     let code = refused.expect_err("a write without keys")["code"].as_u64().expect("an ATT error");
     assert!([5, 8, 15].contains(&code), "{code}");
     assert!(deaf.is_err(), "a subscription without keys");
     rig.get(json!({"do": "write", "uuid": IN, "bytes": ["0102", "00"]}));
     rig.run_ms(1000);
     assert!(rig.heard.states.is_empty(), "not a state");
-    // A stranger that stays is hung up on, and the owner can pair.
+    // The board disconnects a stranger that stays, so that the owner can pair.
     rig.run_ms(32_000);
     assert_eq!(rig.noticed("lost").len(), 1, "hung up");
     rig.join(15.0);
@@ -153,7 +159,7 @@ fn keys_that_the_laptop_does_not_keep_give_nothing() {
 fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
     let mut rig = joined(7.5);
     rig.run_ms(7000);
-    // Bumble grants the longest interval that the board asks for; Linux grants the shortest.
+    // Bumble grants the longest interval that the board requests, but Linux grants the shortest.
     rig.get(json!({"do": "parameters", "interval": 7.5, "latency": 4}));
     rig.run_ms(200);
     assert_eq!(rig.board.controller().interval(), Some(ms(15) / 2));
@@ -191,7 +197,7 @@ fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
 fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
     let mut rig = joined(15.0);
     rig.run_ms(2000);
-    // The board restarts: the laptop notices by silence.
+    // The board restarts, and the laptop notices this by the silence.
     rig.board.soc().nvic.reset_wanted = true;
     rig.run_ms(3000);
     assert_eq!(rig.noticed("lost").len(), 1);
@@ -199,7 +205,7 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
     rig.join(15.0);
     let answer = rig.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify });
     assert_eq!(answer.expect("an answer").result, AckResult::Ok);
-    // The laptop restarts: the board notices by silence.
+    // The laptop restarts, and the board notices this by the silence.
     rig.get(json!({"do": "restart"}));
     rig.board.controller().in_range = false;
     rig.run_ms(3000);
@@ -208,7 +214,7 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
     rig.join(15.0);
     let answer = rig.ask(4, &HostMessage::SetMode { request: 4, mode: Mode::Classify });
     assert_eq!(answer.expect("an answer").result, AckResult::Ok);
-    // A bonded laptop need not subscribe again.
+    // A bonded laptop does not need to subscribe again.
     rig.get(json!({"do": "disconnect"}));
     rig.run_ms(300);
     rig.get(json!({"do": "connect", "interval": 15.0}));
@@ -222,7 +228,8 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
 fn when_either_side_has_lost_the_bond_both_pair_anew() {
     let mut rig = joined(15.0);
     rig.run_ms(2000);
-    // The board's flash is blank: it says so, and the laptop forgets and pairs again, as its owner would.
+    // The board's flash is blank, and the board reports this.
+    // The laptop then forgets its keys and pairs again, as its owner would do.
     rig.board.soc().flash[BONDS].fill(0xFF);
     rig.board.soc().nvic.reset_wanted = true;
     rig.run_ms(3000);
@@ -238,7 +245,7 @@ fn when_either_side_has_lost_the_bond_both_pair_anew() {
     rig.settle_in();
     rig.run_ms(1000);
     assert!(rig.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).is_some());
-    // The laptop has lost its keys: within the time in which laptops may bond it pairs again.
+    // The laptop has lost its keys. It pairs again within the time in which laptops may bond.
     rig.get(json!({"do": "disconnect"}));
     rig.get(json!({"do": "forget"}));
     rig.run_ms(300);
@@ -266,14 +273,14 @@ fn out_of_range_for_longer_than_the_supervision_timeout_it_advertises_again() {
     assert_eq!(rig.damaged(), 0);
 }
 
-/// An L2CAP packet of this channel, with a length that may be a lie.
+/// Builds an L2CAP packet for this channel, with a length that may be wrong.
 fn l2cap(channel: u16, len: u16, content: &[u8]) -> Vec<u8> {
     [&len.to_le_bytes()[..], &channel.to_le_bytes(), content].concat()
 }
 
-/// What somebody without sense sends.
+/// Builds a random packet, as a faulty or hostile device may send.
 fn random_packet(random: &mut fastrand::Rng) -> Vec<u8> {
-    // ATT, signalling, SMP, or any.
+    // The channel is ATT, signalling or SMP, or sometimes any other number.
     let channel = *random.choice(&[4, 4, 4, 5, 6, 6]).unwrap();
     let channel = if random.u8(..16) == 0 { random.u16(..) } else { channel };
     let many = random.usize(0..=60);
@@ -282,7 +289,7 @@ fn random_packet(random: &mut fastrand::Rng) -> Vec<u8> {
     l2cap(channel, len, &content)
 }
 
-/// What bumble sends to a board: for mutations.
+/// Returns packets that bumble sends to a board, so that a test can mutate them.
 fn sensible() -> Vec<Vec<u8>> {
     let att: [&[u8]; 12] = [
         &[0x02, 0x05, 0x02],
@@ -327,7 +334,7 @@ fn mutated_packet(random: &mut fastrand::Rng, from: &[Vec<u8>]) -> Vec<u8> {
                 packet[at] ^= 1 << random.u8(..8);
             }
             1 => {
-                // Behind the channel, so that most reach somebody.
+                // The changed byte is behind the channel, so that most packets still reach a receiver.
                 let at = random.usize(4.min(packet.len() - 1)..packet.len());
                 packet[at] = random.u8(..);
             }
@@ -342,7 +349,8 @@ fn mutated_packet(random: &mut fastrand::Rng, from: &[Vec<u8>]) -> Vec<u8> {
     packet
 }
 
-/// Sends such packets over the air to a board with a bonded laptop, which connects again when the board hangs up.
+/// Sends such packets over the air to a board with a bonded laptop.
+/// If the board disconnects, the laptop connects again.
 fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
     let count = if is_full() { 100_000 } else { 1000 };
     let mut rig = joined(7.5);
@@ -363,7 +371,7 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
         }
         while sent < count && rig.board.controller().waiting_down() < 12 {
             let packet = next(&mut random);
-            // In one radio packet, or torn in two.
+            // The packet is sent in one radio packet, or split into two.
             if packet.len() > 8 && random.u8(..8) == 0 {
                 let (a, b) = packet.split_at(random.usize(1..packet.len()));
                 rig.board.controller().inject(a, true);
@@ -381,7 +389,7 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
     let samples = samples_without_a_gap(&rig, tap);
     println!("{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last");
     assert_eq!(rig.board.resets, STARTED_ONCE);
-    // The owner's keys still work, and the board does what it is told.
+    // The owner's keys still work, and the board still executes requests.
     if rig.board.controller().is_connected() {
         rig.get(json!({"do": "disconnect"}));
     }
@@ -402,7 +410,8 @@ fn random_packets_do_not_stop_it() {
     bombard(24, random_packet);
 }
 
-/// Most of these have a right length: what the guard in the image (`shared_board::guard`) lets through, the host must survive.
+/// Most of these packets have a correct length, so the image's guard (`shared_board::guard`) accepts them.
+/// The host stack must survive every packet that the guard accepts.
 #[test]
 fn mutated_packets_do_not_stop_it() {
     let from = sensible();

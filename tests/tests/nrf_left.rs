@@ -5,7 +5,8 @@
 
 use serde_json::{Value, json};
 use shared_proto::message::{
-    AckResult, Board, CalibrationStep, FaultKind, Heading, HostMessage, LeftState, Mode, health,
+    AckResult, Board, CalibrationStep, FaultKind, Heading, HostMessage, LeftState, Mode, ModelBegin,
+    ModelInfo, Text, health,
 };
 use tests::nrf::left_hand::{acceleration, set_flex};
 use tests::nrf::lsm9ds1::Motion;
@@ -148,6 +149,22 @@ fn an_accelerometer_that_is_gone_and_an_open_flex_sensor_are_faults_and_end() {
     rig.board.soc().bus.sensor.power_cycle();
     rig.run_ms(2500);
     assert_eq!(last(&rig).health, health::DEFAULT_CALIBRATION);
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
+#[test]
+fn it_takes_a_new_image_but_no_model() {
+    let mut rig = joined(Tilts(f64::INFINITY));
+    let result = |rig: &mut RightRig, request, message| rig.ask(request, &message).map(|ack| ack.result);
+    let info = ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: Text("x") };
+    let begin = ModelBegin { request: 1, size: 4, info, scaling: ModelBegin::DATA_SHEET_SCALING };
+    assert_eq!(result(&mut rig, 1, HostMessage::ModelBegin(begin)), Some(AckResult::Unsupported));
+    let unknown = HostMessage::ImageConfirm { request: 2, crc32: 5 };
+    assert_eq!(result(&mut rig, 2, unknown), Some(AckResult::WrongOffset), "there was no update");
+    let begin = HostMessage::ImageBegin { request: 3, size: 8, crc32: 5 };
+    assert_eq!(result(&mut rig, 3, begin), Some(AckResult::Ok));
+    let commit = HostMessage::ModelCommit { request: 4, crc32: 5 };
+    assert_eq!(result(&mut rig, 4, commit), Some(AckResult::WrongOffset), "the pieces are missing");
     assert_eq!(rig.board.resets, STARTED_ONCE);
 }
 

@@ -104,7 +104,7 @@ fn events(sensor: Box<dyn Sensor>, model: &Model<'_>, seconds: u64) -> Vec<(f64,
     found
 }
 
-/// Counts the gestures recognised correctly with each of the three sensors.
+/// Counts the gestures that are recognised correctly with each of the three sensors.
 /// A correct gesture has an event with its label, and no other event during it or shortly after.
 fn right(rows: &[[f64; 9]], wanted: &[(f64, f64, usize)], model: &Model<'_>) -> [usize; 3] {
     const LEAD_S: f64 = 3.0;

@@ -235,8 +235,8 @@ fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_deci
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
 }
 
-/// Simulated wearers, whose data no model was trained with, perform gestures one after another. Each gesture starts
-/// the arm of a robot at rest.
+/// Simulated wearers perform gestures one after another. No model was trained with their data.
+/// Each gesture starts the arm of a robot at rest.
 fn from_sample_to_arm(link: Cable, wearers: u32) {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
@@ -452,8 +452,8 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
     say("right board touched at 1200 baud", steered.halts(Which::Right));
 }
 
-/// Noise of a cable, in parts per thousand: of the bytes from a board that are damaged, and of the milliseconds in
-/// which additional bytes appear.
+/// The noise of a cable. Of the bytes from a board, `damaged` parts per thousand are damaged.
+/// The cable adds bytes in `disturbed` parts per thousand of all milliseconds.
 /// The lines to the boards are always half full of noise.
 fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
     Box::new(move |_, bytes| {

@@ -1,6 +1,7 @@
 //! `cargo xtask campaign`: runs all safety tests under faults at full length, and prints one table.
 //!
-//! The rows are tests. Each prints `row: WHAT | COUNT | WORST | LIMIT`; a test program without such lines is one row.
+//! A test prints each of its rows as `row: WHAT | COUNT | WORST | LIMIT`.
+//! A test program without such lines is one row.
 //! `cargo xtask test` includes the short form of every row: the same tests without `BIMANUAL_FULL`.
 
 use std::process::{ExitCode, Stdio};
@@ -47,7 +48,11 @@ const LIVE: &[&str] = &["--test", "live"];
 
 /// The order is that of the table in docs/SAFETY.md. Tests with the wall clock run one after another.
 const FAULTS: &[Fault] = &[
-    fault("v delays: constant, stepping, drifting ±5 %; restarts unseen", &["--test", "lateness"], &[]),
+    fault(
+        "v delays that are constant, step or drift by ±5 %, and restarts that nobody sees",
+        &["--test", "lateness"],
+        &[],
+    ),
     with(
         Needs::Speed,
         fault("v ten million steps of a hostile link", &["-p", "host-core", "--test", "hostile"], &[]),
@@ -73,7 +78,7 @@ const FAULTS: &[Fault] = &[
     fault("mutated files", &["--test", "hostile_files"], &[]),
     fault("v the program dead or frozen, its cable cut, in each motion", &["--test", "third_stop"], &[]),
     fault(
-        "v two servers, late and forged replies, lying joint states, 40,000 joint names",
+        "v two servers, late and forged replies, invalid joint states, 40,000 joint names",
         &["--test", "servers"],
         &[],
     ),
@@ -83,11 +88,14 @@ const FAULTS: &[Fault] = &[
         Needs::Cyclone,
         fault("kill -9, SIGSTOP for good, each signal, before a robot", LIVE, &["live::ros2::however"]),
     ),
-    with(Needs::Rclpy, fault("the same before ROS 2's own client library", LIVE, &["live::ros2::however"])),
+    with(
+        Needs::Rclpy,
+        fault("kill -9 before a robot with ROS 2's own client library", LIVE, &["live::ros2::however"]),
+    ),
     with(
         Needs::Cyclone,
         fault(
-            "stopped and continued, killed, on the wall's clock and in simulated time",
+            "a bridge that is stopped and continued, or killed, in real and in simulated time",
             LIVE,
             &["live::ros2::a_killed"],
         ),
@@ -102,7 +110,11 @@ const FAULTS: &[Fault] = &[
     ),
     with(
         Needs::Cyclone,
-        fault("both boards' images before a robot: a silent one", LIVE, &["live::ros2::both_boards"]),
+        fault(
+            "the firmware images of both boards before a robot; one board is silent",
+            LIVE,
+            &["live::ros2::both_boards"],
+        ),
     ),
     fault(
         "each signal, and a closed or stalled terminal",
@@ -173,7 +185,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
         // Builds only one crate, so that nothing else is built in release mode.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
-        // The workspace with the features of its tests, so that nothing is compiled again.
+        // The whole workspace is tested with the features of its tests, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);

@@ -72,7 +72,7 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Clippy of the image.
+/// Runs clippy on the image.
 ///
 /// # Errors
 /// Names each problem.

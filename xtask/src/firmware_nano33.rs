@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
+use shared_proto::message::Board;
 
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
-use crate::{is_full, root, target_dir, tools, uf2};
+use crate::{is_full, root, second_stage, target_dir, tools, uf2};
 
 /// A variant's name, and the arguments with which cargo builds it.
 const VARIANTS: [(&str, &[&str], &str); 6] = [
@@ -26,7 +27,7 @@ const VARIANTS: [(&str, &[&str], &str); 6] = [
     (
         "trouble",
         &["--no-default-features", "--features", "trouble"],
-        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader at 0x10000, with Bluetooth linked in",
+        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader and a second stage at 0x10000, with Bluetooth linked in",
     ),
     (
         "xiao-trouble",
@@ -83,12 +84,34 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
+fn is_xiao(name: &str) -> bool {
+    name.starts_with("xiao")
+}
+
+/// The images with Bluetooth linked in are those that a second stage starts.
+fn has_second_stage(options: &[&str]) -> bool {
+    options.iter().any(|option| option.contains("trouble"))
+}
+
+/// Returns the board that takes an update of this variant.
+fn board(name: &str) -> Board {
+    match name {
+        "xiao-left" => Board::LeftXiao,
+        name if is_xiao(name) => Board::RightXiao,
+        _ => Board::RightNano33,
+    }
+}
+
 /// Builds all variants, or only the named one, and prints their sizes.
+/// `--key` names the public key with which the boards check updates over Bluetooth.
 ///
 /// # Errors
 /// Fails if a variant does not build, or if the name is unknown.
 pub fn run(args: &[&str]) -> Result<()> {
-    let is_xiao = |name: &str| name.starts_with("xiao");
+    let (args, key) = match args {
+        [args @ .., "--key", key] => (args, Some(Path::new(key))),
+        args => (args, None),
+    };
     let chosen = |name: &str| match args {
         [] => true,
         ["--board", "nano33"] => !is_xiao(name),
@@ -106,8 +129,18 @@ pub fn run(args: &[&str]) -> Result<()> {
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
+        let mut origin = XIAO_ORIGIN;
+        let raw = if has_second_stage(options) {
+            let stage = second_stage::build(&image, is_xiao(name))?;
+            let files = second_stage::make_files(&image, &stage, board(name), key)?;
+            println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
+            origin = second_stage::base(is_xiao(name));
+            Some(files[0].clone())
+        } else {
+            None
+        };
         if is_xiao(name) {
-            println!("  {}", make_uf2(&image)?.display());
+            println!("  {}", make_uf2(&image, raw, origin)?.display());
         }
         report(&image)?;
     }
@@ -115,7 +148,8 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the variants that the tests run: all but `xiao-trouble`, whose code is in the others. `--full` has it, too.
+/// Builds the variants that the tests run: all but `xiao-trouble`, whose code is in the others.
+/// `--full` also builds `xiao-trouble`.
 ///
 /// # Errors
 /// As [`run`].
@@ -128,10 +162,10 @@ pub fn run_for_tests() -> Result<()> {
 
 /// Returns a cargo command for the images.
 /// Images with Bluetooth linked in contain a little C code, and bindings that are generated from Nordic's headers.
-/// Their generic code is optimised for size.
+/// The generic code of these images is optimised for size.
 fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     let mut command = cargo(Target::Thumb, subcommand)?;
-    if options.iter().any(|option| option.contains("trouble")) {
+    if has_second_stage(options) {
         tools::ensure_where_known(&tools::C_FOR_BOARDS)?;
         command.args(["--config", "profile.release.package.firmware-nano33.opt-level='z'"]);
     }
@@ -164,7 +198,7 @@ pub fn test_drivers() -> Result<()> {
     sh(tests.current_dir(root().join("firmware-nano33/sensor")).env("CARGO_TARGET_DIR", target_dir()))
 }
 
-/// Clippy of all variants.
+/// Runs clippy on all variants.
 ///
 /// # Errors
 /// Names each problem.
@@ -184,10 +218,17 @@ pub fn image(name: &str) -> PathBuf {
 }
 
 /// Converts the image to the format of the XIAO's bootloader, and writes the result to the same folder.
-fn make_uf2(image: &Path) -> Result<PathBuf> {
-    let (raw, file) = (image.with_extension("bin"), image.with_extension("uf2"));
-    sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
-    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, XIAO_ORIGIN, uf2::NRF52840))?;
+fn make_uf2(image: &Path, raw: Option<PathBuf>, origin: u32) -> Result<PathBuf> {
+    let file = image.with_extension("uf2");
+    let raw = match raw {
+        Some(raw) => raw,
+        None => {
+            let raw = image.with_extension("bin");
+            sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
+            raw
+        }
+    };
+    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, origin, uf2::NRF52840))?;
     Ok(file)
 }
 

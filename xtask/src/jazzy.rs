@@ -1,5 +1,6 @@
 //! Installs ROS 2 Jazzy's own client library and middleware in a virtual environment.
-//! Tests use it for a robot that is independent of the program. All files are below `target/ros2-jazzy`.
+//! Tests use ROS 2 Jazzy for a robot that is independent of the program.
+//! All files are below `target/ros2-jazzy`.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -120,7 +121,7 @@ fn say_where_python_is(venv: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the files of a package of interfaces, such as `msg/TFMessage.msg`, sorted.
+/// Returns the sorted files of a package of interfaces, such as `msg/TFMessage.msg`.
 fn interface_files(package: &str) -> Result<Vec<String>> {
     let folder = root().join("tests/ros2/interfaces").join(package);
     let mut files = Vec::new();

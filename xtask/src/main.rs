@@ -10,6 +10,8 @@ mod paper;
 mod prose;
 mod python;
 mod real_data;
+mod second_stage;
+mod sizes;
 mod steps;
 mod test;
 mod toolchain;
@@ -33,11 +35,12 @@ usage: cargo xtask VERB
                                 the faults whose name contains WORD
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
-  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble|xiao-left]
+  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble|xiao-left] [--key FILE.pub]
                                 the right hand's images, and the left hand's for a XIAO: flash and RAM per part
   paper [--quick] [--out FILE] [--html FILE]
                                 the paper's tables beside what is measured here, in under 30 minutes; --html one page
                                 with plots
+  sizes                         the flash of micromath's functions on both boards, beside ours
   package                       an archive for Linux on x86-64 under target/package
   ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text
@@ -68,6 +71,10 @@ fn run(args: &[String]) -> Result<ExitCode> {
             Ok(ExitCode::SUCCESS)
         }
         ["paper", rest @ ..] => paper::run(rest),
+        ["sizes"] => {
+            sizes::run()?;
+            Ok(ExitCode::SUCCESS)
+        }
         ["package"] => {
             package::run()?;
             Ok(ExitCode::SUCCESS)

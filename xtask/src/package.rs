@@ -88,8 +88,10 @@ const PARTS: [(&[&str], &str); 5] = [
         "thumbv7em-none-eabihf",
     ),
 ];
-/// Crates whose licence is a separate file. We have read these licences: an archive that contains the file may contain the crate.
-/// Nordic's five-clause licence permits images for Nordic's chips to include its interface of S140 and its controller.
+/// Crates whose licence is a separate file.
+/// We have read these licences: an archive that contains the file may contain the crate.
+/// Nordic's five-clause licence applies to its interface of S140 and to its controller.
+/// This licence permits images for Nordic's chips to include them.
 const LICENCE_FILES: [(&str, &str); 3] = [
     ("nrf-softdevice-s140", "Nordic's five clauses"),
     ("nrf-sdc-sys", "Nordic's five clauses"),
@@ -104,7 +106,7 @@ const DEEPER_TEXTS: [&str; 6] = [
     "third_party/nordic/nrfxlib/softdevice_controller/license.txt",
     "third_party/nordic/nrfx/LICENSE",
 ];
-/// Contents of a part that its own crate does not declare.
+/// Notices about contents that the crate of a part does not declare.
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
@@ -159,13 +161,18 @@ fn images(folder: &Path) -> Result<()> {
     firmware_avr::run(&["--no-stack"])?;
     copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
     firmware_nano33::run(&[])?;
-    for (variant, format, name) in [
-        ("bootloader", "binary", "nano33-bootloader.bin"),
-        ("ble", "ihex", "nano33-s140.hex"),
-        ("trouble", "binary", "nano33-trouble.bin"),
-    ] {
+    for (variant, format, name) in
+        [("bootloader", "binary", "nano33-bootloader.bin"), ("ble", "ihex", "nano33-s140.hex")]
+    {
         let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
         sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
+    }
+    let linked = firmware_nano33::image("trouble");
+    copy(&linked.with_extension("bin"), &folder.join("nano33-trouble.bin"))?;
+    copy(&linked.with_extension("update"), &folder.join("nano33-trouble.update"))?;
+    for name in ["xiao-trouble", "xiao-left"] {
+        let file = firmware_nano33::image(name).with_extension("update");
+        copy(&file, &folder.join(name).with_extension("update"))?;
     }
     for name in ["xiao", "xiao-trouble", "xiao-left"] {
         let file = firmware_nano33::image(name).with_extension("uf2");
@@ -192,7 +199,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
         let name = part.split(' ').next().unwrap_or("");
         let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
         let licence = by_file.map_or(licence, |(_, licence)| licence);
-        // Of several licences, one suffices. A slash may also separate them.
+        // If a crate has several licences, one suffices. A slash may also separate them.
         let free = licence
             .split(" OR ")
             .flat_map(|l| l.split('/'))
@@ -245,7 +252,7 @@ fn notices(parts: &[Part<'_>]) -> Result<String> {
     Ok(all)
 }
 
-/// As a user: unpack, run.
+/// Unpacks the archive and runs its programs, as a user would.
 fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     if into.exists() {
         fs::remove_dir_all(into)?;
@@ -263,7 +270,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     for name in PROGRAMS {
         print!("{}", output(program(name).arg("--version"))?);
     }
-    // This uses a session file, so that MCAP is tested too.
+    // The demo records a session file, so that MCAP is tested too.
     let demo = ["demo", "--headless", "--speed", "0", "--json", "--record", "demo.mcap"];
     let demo = output(program("host-bridge").args(demo))?;
     ensure!(demo.contains("\"ok\":true"), "the unpacked demo does not come out as scripted:\n{demo}");

@@ -35,7 +35,8 @@ pub fn environment() -> Result<PathBuf> {
     made("venv", &REQUIREMENTS)
 }
 
-/// Returns the interpreter for the checks of arms. They have a separate environment, because their packages contain 170 MB of meshes.
+/// Returns the interpreter for the checks of arms.
+/// The arms have a separate environment, because their packages contain 170 MB of meshes.
 ///
 /// # Errors
 /// As [`environment`].

@@ -9,7 +9,8 @@ use crate::steps::{output, sh};
 use crate::test::built;
 use crate::{is_full, root, target_dir};
 
-/// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: with two splits, and with twenty.
+/// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent.
+/// The first value is for two splits, and the second is for twenty.
 const SPLITS_MIN: [f64; 2] = [97.0, 99.0];
 /// Minimum percentage of unknown people's gestures that cause exactly one correct event.
 const EVENTS_MIN: f64 = 95.0;
@@ -69,7 +70,7 @@ pub fn strangers() -> Result<()> {
     }
     let text = output(&mut people)?;
     print!("{text}");
-    // The int8 results; the nine-axis set comes first.
+    // These are the int8 results, and the nine-axis set comes first.
     for (what, floors) in [
         ("never met: mean", [92.0, 96.0]),
         ("never met: worst", [90.0, 90.0]),

@@ -105,7 +105,7 @@ pub fn output(command: &mut Command) -> Result<String> {
     Ok(text)
 }
 
-/// Checks that a command ended with exit code 0. Otherwise, the error contains its last lines.
+/// Checks that a command ended with exit code 0. Otherwise, the error contains the last lines of its output.
 fn well_ended(command: &Command, status: ExitStatus, text: &str) -> Result<()> {
     if !status.success() {
         let lines: Vec<&str> = text.lines().collect();

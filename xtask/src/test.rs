@@ -1,11 +1,11 @@
 //! `cargo xtask test` runs every check. `--quick` runs only those for daily work, and `--full` runs the long versions.
 //!
 //! The first steps detect common mistakes: format, and clippy for our own crates.
-//! If one of these fails, the run ends within three minutes.
-//! The next steps are checks other than Rust, and the demo, built and run as a new user does.
+//! If one of these steps fails, the run ends within three minutes.
+//! The next steps check everything other than Rust, and build and run the demo as a new user does.
 //! After these, everything is built: the laptop programs and, in parallel, the firmware images.
 //! Finally, tests with the wall clock run one by one.
-//! All tests that do not depend on speed run in parallel to them at low priority.
+//! All tests that do not depend on speed run in parallel with them at low priority.
 //! Therefore, no processor waits for a network or a clock. No step runs twice, so a failure is final.
 
 use std::fs::File;
@@ -373,7 +373,8 @@ fn wall_clock() -> Vec<Step> {
         }),
     ];
     if is_full() {
-        // This takes minutes to build. No other step uses Zenoh, and the dependencies that it shares with others have other features there.
+        // This takes minutes to build, and no other step uses Zenoh.
+        // The dependencies that Zenoh shares with other steps need other features there.
         steps.push(Step::new("ROS 2 over Zenoh", || {
             let python = python::environment()?;
             let ours = ["-p", "host-ros2", "-p", "host-bridge", "--features"];
@@ -408,7 +409,7 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Tests two arms if the packages for these checks are installed. With `--full`, tests five arms and a Gen3 with tools.
+/// Tests two arms if the packages for these checks are installed. With `--full`, tests ten arms and a Gen3 with tools.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
@@ -425,7 +426,9 @@ fn arms() -> Result<()> {
         return sh(check.args(["6", "panda", "so101"]));
     }
     // For the other arms in its list, tests/arms/check.py reports what they touch, or why no plan exists, if it is asked.
-    sh(check.args(["30", "panda", "xarm7", "so100", "so101", "z1"]))?;
+    sh(check.args([
+        "30", "panda", "xarm7", "so100", "so101", "z1", "j2s6s200", "pr2", "stretch", "ur5", "ur10",
+    ]))?;
     sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
     let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
     let mut gen3 = Command::new(python);

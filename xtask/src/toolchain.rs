@@ -1,4 +1,5 @@
-//! Selects the compiler for other targets. This is rustup's if it has the target, and otherwise that of Debian's packages.
+//! Selects the compiler for other targets.
+//! Uses rustup's compiler if that supports the target, and otherwise the compiler in Debian's packages.
 //!
 //! Either compiler builds the images of both boards from the same sources.
 //! Debian's `rustc-web` contains the source of the library but no compiled core, so `core` is built too.
@@ -36,7 +37,7 @@ impl Target {
         }
     }
 
-    /// Returns the parts of the library to build, if no compiled ones exist for the target.
+    /// Returns the parts of the library to build, if no compiled parts exist for the target.
     fn library(self) -> &'static str {
         match self {
             Target::Avr | Target::Thumb => "-Zbuild-std=core",

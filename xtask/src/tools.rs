@@ -46,7 +46,7 @@ pub const EMULATORS: Packages = Packages {
     ],
 };
 
-/// Tools that the images with Bluetooth linked in need beside Rust.
+/// Tools other than Rust that the images with Bluetooth linked in need.
 pub const C_FOR_BOARDS: Packages =
     Packages { purpose: "Bluetooth linked into the boards' images", names: &["libclang-dev", "clang"] };
 
@@ -101,7 +101,8 @@ pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     apt_get(&args)
 }
 
-/// Does the same on systems with Debian's packages. Elsewhere, tools may have other names, and the build reports what is missing.
+/// Does the same as [`ensure`] on systems with Debian's packages.
+/// Elsewhere, tools may have other names, and the build reports what is missing.
 ///
 /// # Errors
 /// As [`ensure`].

@@ -16,7 +16,7 @@ const BLOCK: usize = 512;
 const PAYLOAD: usize = 256;
 
 /// Returns the file for an image that starts at this address of flash.
-/// The last piece is padded with one bits, like erased flash.
+/// The last piece is padded with bits of value 1, like erased flash.
 pub fn encode(image: &[u8], address: u32, family: u32) -> Vec<u8> {
     let blocks = image.len().div_ceil(PAYLOAD);
     let mut file = Vec::with_capacity(blocks * BLOCK);

@@ -1,11 +1,12 @@
 //! Replaces `nrf52840-pac`. It has only the items that nrf-softdevice 0.1.0 uses, and no interrupt table.
 //!
-//! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new one (`nrf-pac`).
+//! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new crate (`nrf-pac`).
 //! Each register crate defines a table `__INTERRUPTS`.
 //! Two tables either fail to link or, worse, link silently without the handlers of one crate.
 //! With this replacement, the image contains only embassy-nrf's table.
 //! The two crates use different names for the SoftDevice's event interrupt: `SWI2_EGU2` here and `EGU2_SWI2` there.
-//! `memory.x` defines one as an alias of the other, and the test `nrf_vectors` checks this in the linked image.
+//! `memory.x` defines one of these names as an alias of the other.
+//! The test `nrf_vectors` checks this in the linked image.
 #![no_std]
 
 pub use cortex_m::peripheral::NVIC;

@@ -1,4 +1,4 @@
-//! Bluetooth of the boards with an nRF52840: one service of our own, which notifies the laptop and accepts writes.
+//! Bluetooth for boards with an nRF52840. Its only service notifies the laptop and accepts writes.
 //!
 //! | | UUID |
 //! |---|---|
@@ -8,8 +8,9 @@
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
 //! Frames form a byte stream in both directions, which is cut into pieces according to the MTU.
-//! This file contains what all Bluetooth stacks share. The feature `trouble` adds the stack that is linked into the image.
-//! This code is a separate crate, because the compiler optimises it for size: hardly any of it runs often.
+//! This file contains the parts that all Bluetooth stacks share.
+//! The feature `trouble` adds the stack that is linked into the image.
+//! The code is a separate crate, so that the compiler can optimise it for size. Most of the code runs rarely.
 #![no_std]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 
@@ -21,12 +22,13 @@ use embassy_time::Duration;
 /// Maximum bytes of one notification or write: the largest MTU without its three bytes of header.
 pub const PAYLOAD: usize = 244;
 /// Connection intervals that the board requests one after another, in units of 1.25 ms.
-/// It first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
+/// The board first requests 7.5 to 15 ms, and then 15 ms for systems that refuse shorter intervals.
 pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);
 /// Number of connection events that the board may skip while it has nothing to send, so that the radio stays off.
-/// The board's next frame still leaves within one interval, and a laptop's frame arrives within five.
+/// The board's next frame still leaves within one interval.
+/// A frame from the laptop arrives within five intervals.
 pub const LATENCY: u16 = 4;
 /// A link that is silent for this long (in units of 10 ms) is lost.
 pub const SUPERVISION: u16 = 200;
@@ -34,7 +36,7 @@ pub const SUPERVISION: u16 = 200;
 pub const ADVERTISING: u32 = 48;
 /// A laptop that has not bonded within this time is disconnected, because it occupies the board's only link.
 pub const STRANGER: Duration = Duration::from_secs(10);
-/// For this long after a start, a laptop may bond even if another one is bonded.
+/// For this long after a start, a laptop may bond even if another laptop is bonded.
 pub const PAIRING: Duration = Duration::from_secs(120);
 /// Name of the board in Bluetooth advertisements.
 pub const NAME: &str = if cfg!(feature = "left") { "bimanual-left" } else { "bimanual-right" };

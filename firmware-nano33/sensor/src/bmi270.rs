@@ -65,13 +65,13 @@ const SETTINGS: [Setting; 6] = [
 const SET_BYTES: usize = 12;
 /// Size in bytes of one transfer of the configuration file.
 const PIECE: usize = 128;
-/// Time in which the gyroscope starts, 45 ms.
+/// Number of sets in the 45 ms that the gyroscope takes to start.
 const SETTLING_SETS: u8 = 10;
 /// Value in the FIFO that replaces a missing measurement.
 const NO_VALUE: i16 = i16::MIN;
 
 /// Conversion factors in units of 1/65536.
-/// They convert ±4 g per 2^15 counts to 0.122 mg, and ±2000 deg/s per 2^15 counts to 70 mdps.
+/// The factors convert ±4 g per 2^15 counts to 0.122 mg, and ±2000 deg/s per 2^15 counts to 70 mdps.
 const ACCEL: i64 = (65_536.0 * (4000.0 / 32_768.0) / 0.122 + 0.5) as i64;
 const GYRO: i64 = (65_536.0 * (2000.0 / 32_768.0) / 0.07 + 0.5) as i64;
 

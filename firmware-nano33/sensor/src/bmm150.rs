@@ -9,7 +9,7 @@
 //!
 //! Raw counts alone are not a field strength.
 //! The conversion also needs the chip's individual trimming values.
-//! It also needs the resistance of its Hall plates, which depends on the temperature.
+//! The resistance of the chip's Hall plates, which depends on the temperature, is also needed.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -176,7 +176,7 @@ impl<I: I2c> Bmm150<I> {
     /// Powers the chip up, reads its trimming values and starts continuous measurement.
     ///
     /// # Errors
-    /// The chip was not recognised, or a transfer failed.
+    /// Fails if the chip was not recognised, or if a transfer failed.
     pub async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
         // Until the power bit is set, only that bit can be read. A soft reset does not clear it.
         for value in [ON, SOFT_RESET, ON] {
@@ -197,10 +197,11 @@ impl<I: I2c> Bmm150<I> {
     }
 
     /// Returns the newest field in µT along the chip's axes.
-    /// Returns `None` if there is no new measurement, or if the field is too strong for the chip, as near a magnet.
+    /// Returns `None` if there is no new measurement, or if the field is too strong for the chip.
+    /// The field is too strong near a magnet, for example.
     ///
     /// # Errors
-    /// A transfer failed.
+    /// Fails if a transfer failed.
     pub async fn field_ut(&mut self) -> Result<Option<[f32; 3]>, ImuError> {
         let bytes = read::<8, _>(&mut self.i2c, ADDRESS, DATA).await?;
         let is_new = bytes[6] & READY != 0;
@@ -210,7 +211,7 @@ impl<I: I2c> Bmm150<I> {
     /// Checks that the chip's settings are still in effect.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.
+    /// Returns [`ImuError::Reset`] if the settings were lost, or another error if a transfer failed.
     pub async fn check(&mut self) -> Result<(), ImuError> {
         verify(&mut self.i2c, ADDRESS, &SETTINGS).await
     }

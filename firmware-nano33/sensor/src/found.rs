@@ -53,8 +53,8 @@ impl<I: I2c> Found<I> {
     /// Probes the given sensors in order.
     ///
     /// # Errors
-    /// [`ImuError::Unknown`] if a different chip answers at one of the addresses.
-    /// [`ImuError::Missing`] with the first address if no chip answers.
+    /// Returns [`ImuError::Unknown`] if a different chip answers at one of the addresses.
+    /// Returns [`ImuError::Missing`] with the first address if no chip answers.
     pub async fn find(mut i2c: I, kinds: &[Kind]) -> Result<Self, ImuError> {
         let mut why = ImuError::Missing(kinds.first().map_or(0, |kind| kind.address()));
         for &kind in kinds {

@@ -1,7 +1,7 @@
 //! Resamples a sensor that has its own clock to the 100 Hz grid of the board's crystal.
 //!
 //! The LSM9DS1's nominal 238 Hz may be wrong by some per cent and drifts with temperature.
-//! Its interrupt line is not connected on this board.
+//! The sensor's interrupt line is not connected on this board.
 //! However, each poll of the sensor's FIFO returns a known number of sets, and the newest set is less than one period old.
 //! [`Grid`] estimates the age of the newest set and advances the estimate with the board's clock.
 //! If the estimate leaves its limits, [`Grid`] corrects both the age and the estimated period.
@@ -61,7 +61,7 @@ impl Grid {
 
     /// Delay between a grid sample and its grid time.
     pub fn delay_us(&self) -> f32 {
-        // This is a tenth more than the nominal period, because the sensor may be slower than nominal.
+        // The delay is a tenth longer than the nominal period, because the sensor may be slower than nominal.
         self.nominal_us * 1.1
     }
 
@@ -79,7 +79,7 @@ impl Grid {
         }
     }
 
-    /// Must be called after all sets up to this time were [pushed](Self::push).
+    /// Call this after all sets up to this time were [pushed](Self::push).
     pub fn synchronise(&mut self, poll_us: u64) {
         let elapsed_us = poll_us.saturating_sub(self.last_poll_us) as f32;
         let sets = core::mem::take(&mut self.since_poll) as f32;
@@ -142,7 +142,7 @@ mod tests {
     extern crate std;
 
     /// Returns the worst error for a simulated sensor that outputs a ramp.
-    /// The sensor's clock is wrong by `ratio`, and it is polled every 10 ms with jitter.
+    /// The sensor's clock is wrong by `ratio`, and the sensor is polled every 10 ms with jitter.
     fn worst_error_us(ratio: f64, jitter_us: u64) -> f64 {
         let mut grid = Grid::new(238.0);
         let period = 1e6 / 238.0 * ratio;

@@ -8,7 +8,7 @@
 //!   The drivers use asynchronous I2C of embedded-hal-async. [`found`] detects the sensor on the bus.
 //! * [`grid`] estimates the time of each set and interpolates the sets to the 100 Hz grid.
 //! * [`Imu`] is the trait that all drivers implement.
-//!   All drivers return the same units and axes, so one model fits all.
+//!   All drivers return the same units and axes, so one model works with all sensors.
 #![no_std]
 
 pub mod bmi270;
@@ -24,7 +24,7 @@ pub mod lsm9ds1;
 pub type Set = [i16; 6];
 
 /// Value of one count of accelerometer (m/s²), gyroscope (deg/s) and magnetometer (µT), for every supported sensor.
-/// These are the LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss.
+/// The values are the LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss.
 /// The drivers of other sensors convert their counts.
 pub const SCALE: [f32; 3] = [0.122e-3 * 9.80665, 0.07, 0.014];
 
@@ -36,7 +36,7 @@ pub const FIFO_SETS: usize = 32;
 pub struct Batch {
     sets: [Set; FIFO_SETS],
     len: usize,
-    /// True if the sensor's FIFO was full, so that sets before the first one in this batch were lost.
+    /// True if the sensor's FIFO was full, so that sets before the first set in this batch were lost.
     pub overrun: bool,
     /// The newest counts of the magnetometer, or zeros if the sensor has six axes.
     pub magnetometer: [i16; 3],
@@ -81,7 +81,7 @@ pub enum ImuError {
     Unknown(u8),
     /// A transfer to this I2C address failed.
     Bus(u8),
-    /// The settings of the sensor at this I2C address differ from those written.
+    /// The settings of the sensor at this I2C address differ from the settings that were written.
     /// Either a write was lost, or a drop of the supply voltage reset the sensor.
     Reset(u8),
 }
@@ -98,18 +98,19 @@ pub trait Imu {
     /// Resets and configures the sensor, reads its settings back, and starts its FIFO.
     ///
     /// # Errors
-    /// The sensor was not recognised or did not accept its settings, or a transfer failed.
+    /// Fails if the sensor was not recognised or did not accept its settings, or if a transfer failed.
     async fn start(&mut self, delay: &mut impl embedded_hal_async::delay::DelayNs) -> Result<(), ImuError>;
 
     /// Clears the batch and moves all waiting sets from the sensor to it.
     ///
     /// # Errors
-    /// A transfer failed. The batch contains the sets that were read before the failure.
+    /// Fails if a transfer failed. The batch contains the sets that were read before the failure.
     async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError>;
 
-    /// Checks that the sensor's settings are still in effect. Called when sets stop arriving.
+    /// Checks that the sensor's settings are still in effect.
+    /// The firmware calls this when sets stop arriving.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.
+    /// Returns [`ImuError::Reset`] if the settings were lost, or another error if a transfer failed.
     async fn check(&mut self) -> Result<(), ImuError>;
 }

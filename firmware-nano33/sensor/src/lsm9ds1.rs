@@ -1,4 +1,5 @@
-//! LSM9DS1: the accelerometer and gyroscope are on one die and the magnetometer is on the other (ST DocID025715 Rev 2).
+//! LSM9DS1 (ST DocID025715 Rev 2).
+//! Accelerometer and gyroscope are on one die, and the magnetometer is on another die.
 //!
 //! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do.
 //! Models and recordings can therefore be exchanged.
@@ -49,8 +50,8 @@ const FIFO_BYPASS: u8 = 0;
 const FIFO_OVERRUN: u8 = 1 << 6;
 const FIFO_COUNT: u8 = 0x3F;
 
-/// Number of sets to discard after a start. The first one follows the change of the FIFO mode.
-/// The next four arrive while the filter of the gyroscope settles (data sheet, table 12).
+/// Number of sets to discard after a start. The first of these sets follows the change of the FIFO mode.
+/// The next four sets arrive while the filter of the gyroscope settles (data sheet, table 12).
 const SETTLING_SETS: u8 = 5;
 
 /// Settings of the magnetometer.
@@ -234,7 +235,8 @@ impl<I: I2c> Imu for Lsm9ds1<I> {
         let [source] = read::<1, _>(&mut self.i2c, ADDRESS_AG, FIFO_SRC).await?;
         batch.overrun = source & FIFO_OVERRUN != 0;
         for _ in 0..source & FIFO_COUNT {
-            // One burst read continues from the gyroscope's registers (18h to 1Dh) to the accelerometer's (28h to 2Dh).
+            // One burst read continues
+            // from the gyroscope's registers (18h to 1Dh) to those of the accelerometer (28h to 2Dh).
             let b = read::<12, _>(&mut self.i2c, ADDRESS_AG, OUT_X_G).await?;
             let ([gx, gy, gz], [ax, ay, az]) = (triple(&b[..6]), triple(&b[6..]));
             if self.to_drop > 0 {

@@ -2,17 +2,21 @@
 //! Each file defines pins, sensors, names and memory (the `.x` files), and handles the board's bootloader.
 //! No other code in this crate depends on the board.
 //!
-//! Each file provides `SENSORS`, `START_MS`, `USB`, `kind` (the board's name in the protocol), and `parts`, which returns
-//! [`Parts`].
-//! It also provides `begin`, which runs before all other code, and `enter_bootloader`.
+//! Each file provides `SENSORS`, `START_MS`, `USB` and `kind` (the board's name in the protocol).
+//! Each file also provides `begin`, which runs before all other code, and `enter_bootloader`.
+//! The function `parts` of each file returns [`Parts`].
 
 #[cfg(not(feature = "xiao"))]
 mod nano33;
 #[cfg(feature = "xiao")]
 mod xiao;
 
+#[cfg(all(feature = "trouble", not(feature = "xiao")))]
+pub use nano33::BASE;
 #[cfg(not(feature = "xiao"))]
 pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
+#[cfg(all(feature = "trouble", feature = "xiao"))]
+pub use xiao::BASE;
 #[cfg(all(feature = "xiao", not(feature = "left")))]
 pub use xiao::kind;
 #[cfg(feature = "xiao")]
@@ -54,10 +58,10 @@ pub struct Parts {
     pub watchdog: Peri<'static, WDT>,
     /// USB.
     pub usbd: Peri<'static, USBD>,
-    /// The flash controller, which the radio's stack owns instead in images with Bluetooth.
+    /// The flash controller. In images with Bluetooth, the radio's stack owns it instead.
     #[cfg(not(feature = "radio"))]
     pub flash: Peri<'static, embassy_nrf::peripherals::NVMC>,
-    /// The random number generator, which the radio's stack owns instead in images with Bluetooth.
+    /// The random number generator. In images with Bluetooth, the radio's stack owns it instead.
     #[cfg(not(feature = "radio"))]
     pub random: Peri<'static, embassy_nrf::peripherals::RNG>,
     /// Peripherals that the linked-in radio stack owns.

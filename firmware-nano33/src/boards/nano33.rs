@@ -12,6 +12,10 @@ use crate::{uart, vibrate, watch};
 /// The sensors of Rev1 and Rev2.
 pub const SENSORS: &[Kind] = &[Kind::Lsm9ds1, Kind::Bmi270];
 
+/// Address of the second stage, which starts the image.
+#[cfg(feature = "trouble")]
+pub const BASE: u32 = 0x0001_0000;
+
 /// Time from power-up until the sensor answers, in milliseconds.
 /// ST's sensors of this type need up to 35 ms, and SparkFun's library waits 100 ms.
 pub const START_MS: u64 = 50;
@@ -88,15 +92,17 @@ pub fn begin() {
 
 /// Restarts into the stock bootloader, which waits for an upload.
 ///
-/// The bootloader never feeds a watchdog, and a soft reset does not stop one, so an upload of 6 s would end after 2 s.
-/// The watchdog therefore performs the reset, which stops it. The mark of a double press keeps the bootloader running.
+/// The bootloader never feeds a watchdog, and a soft reset does not stop a watchdog.
+/// An upload of 6 s would therefore end after 2 s.
+/// The watchdog therefore performs the reset, which also stops the watchdog.
+/// The mark of a double press keeps the bootloader running.
 #[cfg(not(feature = "ble"))]
 pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESS: *mut u32 = 0x2000_7FFC as _;
     const DOUBLE_PRESSED: u32 = 0x0773_8135;
     const STAY: u8 = 0xB0;
     cortex_m::interrupt::disable();
-    // This disconnects the USB port immediately for the laptop.
+    // Without the pull-up, the laptop detects a disconnection of the USB port immediately.
     embassy_nrf::pac::USBD.usbpullup().write(|w| w.set_connect(false));
     // Arduino's bootloaders look for this value after a soft reset.
     embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(STAY));

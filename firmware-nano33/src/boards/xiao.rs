@@ -1,6 +1,7 @@
 //! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which is sold with S140 7.3.0 and a UF2 bootloader.
 //!
-//! These pins are not used: P0.13 and P0.17 (charging), P0.25 (flash), and P0.16, P1.00 and P1.10 (microphone).
+//! Some pins are not used:
+//! P0.13 and P0.17 (charging), P0.25 (flash), and P0.16, P1.00 and P1.10 (microphone).
 //! **This file has not been tested on a real board.** The pins are from the sources of Zephyr and Seeed.
 
 use embassy_nrf::{Peripherals, saadc};
@@ -14,6 +15,10 @@ use crate::{uart, watch};
 
 /// Its sensor.
 pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
+
+/// Address of the second stage, which starts the image.
+#[cfg(feature = "trouble")]
+pub const BASE: u32 = 0x0002_7000;
 
 /// Time in milliseconds from power-up until the sensor answers: 35 ms and a margin.
 pub const START_MS: u64 = 50;

@@ -1,4 +1,5 @@
-//! Owns the left hand's board state, which all tasks share. All tasks run in one executor, and none borrows it across an `await`.
+//! Owns the left hand's board state, which all tasks share.
+//! All tasks run in one executor, and no task borrows the state across an `await`.
 
 use core::cell::RefCell;
 use core::sync::atomic::Ordering;

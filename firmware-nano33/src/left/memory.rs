@@ -41,7 +41,8 @@ pub fn fill(bytes: &[u8; BYTES]) {
     }
 }
 
-/// Writes bytes to flash without end. A byte that was not written keeps its value, which the calibration's store notices.
+/// Writes bytes to flash without end.
+/// A byte that was not written keeps its value, which the calibration's store notices.
 pub async fn save<F: MappedFlash>(mut log: EepromLog<F>) -> ! {
     loop {
         let (address, byte) = WANTED.wait().await;

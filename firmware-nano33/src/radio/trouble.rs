@@ -1,4 +1,4 @@
-//! Bluetooth linked into the image: what ties `nano33_radio::trouble` to the rest.
+//! Bluetooth that is linked into the image. This file connects `nano33_radio::trouble` to the other tasks.
 
 use core::task::{Context, Poll};
 
@@ -16,7 +16,7 @@ use crate::storage::{BONDS_BYTES, BONDS_START, Flash, FlashFailed, Region};
 
 type Log = BondLog<Region<RadioFlash, BONDS_START, BONDS_BYTES>>;
 
-/// Writing to flash beside the radio.
+/// Writes to flash between radio events.
 #[derive(Clone, Copy)]
 pub struct RadioFlash(SlotFlash);
 
@@ -54,7 +54,7 @@ impl Radio {
         self.0.random()
     }
 
-    /// Writing to flash beside it.
+    /// Returns access to the flash that shares time with the radio.
     pub fn flash(&mut self) -> RadioFlash {
         RadioFlash(self.0.flash())
     }
@@ -79,14 +79,15 @@ async fn save(mut log: Log) -> ! {
     }
 }
 
-/// Hands on what a trusted laptop writes.
+/// Passes on the data that a trusted laptop writes.
 #[embassy_executor::task]
 async fn receive() -> ! {
     let mut inlet = Inlet::new(WayOut::Ble);
     loop {
         match trouble::written().await {
             Some(bytes) => inlet.take(&bytes, true).await,
-            // Another link: half a frame of the last one is not its beginning.
+            // Another link begins.
+            // An incomplete frame from the previous link must not be joined with its first frame.
             None => inlet = Inlet::new(WayOut::Ble),
         }
     }

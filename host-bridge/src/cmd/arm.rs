@@ -20,7 +20,7 @@ pub struct Args {
     /// The scene file: an existing one keeps its text and gets a new description of the arm; otherwise it is created
     #[arg(value_name = "SCENE.toml")]
     scene: PathBuf,
-    /// First link of the arm, if the scene is new (else the robot's first)
+    /// First link of the arm, if the scene is new [default: the first link of the robot]
     #[arg(long, value_name = "LINK")]
     root: Option<String>,
     /// Last link of the arm, if the scene is new and the robot has several ends

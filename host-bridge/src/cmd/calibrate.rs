@@ -31,7 +31,7 @@ pub struct Args {
     /// Do not wait for Enter: start each step this many seconds after its announcement
     #[arg(long, value_name = "SECONDS")]
     every: Option<f64>,
-    /// Delete the calibration in the board and use nominal parts
+    /// Delete the calibration in the board, which then uses the nominal values of its parts
     #[arg(long, conflicts_with = "every")]
     reset: bool,
 }

@@ -17,7 +17,7 @@ pub struct Args {
     /// Write one CSV file per episode to this new folder
     #[arg(long, value_name = "DIR")]
     csv: Option<PathBuf>,
-    /// Rows per second
+    /// Number of rows per second of recording
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     fps: u32,
     /// What counts as an episode: the whole session, each completed motion of the arm, or the marks

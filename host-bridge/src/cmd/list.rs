@@ -18,7 +18,7 @@ pub struct Args {
     /// Additional ports besides the USB ports found (also in the variable BIMANUAL_PORTS, separated by colons)
     #[arg(value_name = "PORT")]
     ports: Vec<String>,
-    /// Only list the ports without opening them (opening resets a Nano)
+    /// List the ports but do not open them (opening resets a Nano)
     #[arg(long)]
     no_ask: bool,
 }

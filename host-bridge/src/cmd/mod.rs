@@ -1,4 +1,4 @@
-//! One file per command, with its options and its implementation.
+//! The commands. Each command has one file with its options and its implementation.
 
 #[cfg(all(feature = "ros2", feature = "urdf"))]
 pub mod arm;
@@ -17,4 +17,5 @@ pub mod run;
 pub mod screen;
 pub mod send_model;
 pub mod teach;
+pub mod update;
 pub mod web;

@@ -22,7 +22,7 @@ pub fn settings(config: &Config, hand: Hand) -> SerialSettings {
     SerialSettings { baud, settle_ms, allow_unbonded, hand: Some(hand) }
 }
 
-/// Returns the port of a hand: the port that was requested, otherwise the port in the configuration.
+/// Returns the port of a hand: the requested port, or otherwise the port in the configuration.
 /// With `left_handed`, the hands of the configuration are exchanged.
 pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<String> {
     let left = (hand == Hand::Left) != config.left_handed;

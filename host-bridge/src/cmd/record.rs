@@ -47,7 +47,7 @@ pub struct Args {
     /// Label of the gesture or movement, for example circle
     #[arg(long, required_unless_present = "guided", conflicts_with = "guided")]
     label: Option<String>,
-    /// Who performs it
+    /// Name of the person who performs it
     #[arg(long, required = true)]
     person: Option<String>,
     /// Length of a recording in seconds (in the paper: 150)
@@ -59,10 +59,10 @@ pub struct Args {
     /// Labels of a guided session, separated by commas [default: the model's; for the left hand level,forward,…]
     #[arg(long, requires = "guided")]
     labels: Option<String>,
-    /// Seconds to get ready
+    /// Number of seconds to get ready before a recording starts
     #[arg(long, default_value_t = 3)]
     countdown: u64,
-    /// Folder for FOLDER/<label>/<person>__<n>.csv [default: recordings; for the left hand recordings-left]
+    /// Folder in which the files <label>/<person>__<n>.csv are written [default: recordings; for the left hand recordings-left]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
@@ -91,9 +91,9 @@ struct SessionArgs {
 /// The hand to record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
-    /// The right one's IMU
+    /// The IMU of the right hand
     Right,
-    /// The left hand's converter: tilt and fingers
+    /// The converter of the left hand, which measures tilt and fingers
     Left,
 }
 

@@ -250,8 +250,8 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Left> {
     Ok(Left { board, notes, span_ms })
 }
 
-/// Returns the delay of each hand relative to the session, calculated from the first and last times of the recordings,
-/// together with notes.
+/// Returns the delay of each hand relative to the session, and notes.
+/// The delays are calculated from the first and last times of the recordings.
 /// If their times overlap, both recordings are assumed to use a common clock.
 fn aligned([left, right]: [[f64; 2]; 2]) -> ([u64; 2], Option<String>) {
     let late_ms = left[0] - right[0];

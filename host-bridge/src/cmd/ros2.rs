@@ -36,7 +36,7 @@ mod on {
     /// Duration of the search for other publishers, before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
-    /// A description that is published once arrives within this time.
+    /// A description that is published once arrives within this time after joining.
     #[cfg(feature = "urdf")]
     const LOOK: Duration = Duration::from_secs(8);
 
@@ -45,7 +45,7 @@ mod on {
         SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
     }
 
-    /// Information about the robot from the graph, read before the robot is driven.
+    /// Data about the robot on the graph. It is read before the robot is driven.
     #[cfg(feature = "urdf")]
     pub fn look(config: &Ros2Config) -> Result<Found> {
         Ok(look::look(config, &connection(config)?, LOOK)?)

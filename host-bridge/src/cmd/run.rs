@@ -1,4 +1,4 @@
-//! `host-bridge run`: the user steers the robot with boards, or with keys in their place.
+//! `host-bridge run`: the user drives the robot with boards, or with keys that replace boards.
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -68,7 +68,7 @@ pub struct HandArgs {
     /// (repeatable)
     #[arg(long, value_name = "LABEL=MARK")]
     mark: Vec<String>,
-    /// Exchange the hands: --left is the gesture board, --right the tilt board
+    /// Exchange the hands: --left is then the port of the gesture board, and --right that of the tilt board
     #[arg(long)]
     left_handed: bool,
     /// Also drive a robot on a ROS 2 graph, as configured under ros2
@@ -194,6 +194,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     );
 
     let stage = stage(&config, args.scene.as_deref())?;
+    stage.tell(&mut config.ros2);
     let map = config.motion_map();
     check_motions(&map, &config.mappings(), &stage.motions)?;
     let records = keep.record.is_some();
@@ -207,7 +208,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
-    // The session counts as busy until the control thread has reported its state.
+    // Until the control thread has reported its state, the session counts as busy.
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {

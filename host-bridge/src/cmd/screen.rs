@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_millis(10);
 /// Time within which the release key must be pressed twice.
 const CONFIRM: Duration = Duration::from_secs(2);
 
-/// Ordinary terminals send a key that is held as pressed again and again, after 250 to 660 ms and then faster.
+/// Ordinary terminals repeat a held key. The repeats begin after 250 to 660 ms, and then come faster.
 const HELD: Duration = Duration::from_millis(700);
 
 const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
@@ -34,7 +34,8 @@ const SHOW_KEYS: &str = "t: show each gesture three times, and the model learns 
 pub const SHOW: char = 't';
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
-/// What the keys mean: of a keyboard hand, of a session that is recorded, and of one whose wearer can show gestures.
+/// Describes the keys: those of a keyboard hand, of a recorded session,
+/// and of a wearer who can show gestures.
 pub fn keys(end_arm: char, clutch: Option<char>, has_hands: bool, records: bool, shows: bool) -> String {
     let mut keys = format!("{KEYS} {end_arm}");
     if let Some(clutch) = clutch {
@@ -82,19 +83,19 @@ pub struct Screen {
     pub end_arm: char,
     /// The key that lends the left hand to the arm, and takes it back.
     pub clutch: Option<char>,
-    /// Whether that is held.
+    /// Whether the clutch's key is held.
     pub clutch_held: Held,
 }
 
-/// Tells a key that is pressed from one that is held.
+/// Distinguishes a key that is pressed from a key that is held.
 #[derive(Default)]
 pub struct Held {
-    /// When it was last seen, whether that counted or not.
+    /// Time at which the key was last seen, whether it counted or not.
     seen: Option<Instant>,
 }
 
 impl Held {
-    /// It is seen now; whether it counts.
+    /// Records that the key is seen now, and returns whether this counts as a press.
     fn is_new(&mut self, now: Instant) -> bool {
         self.seen.replace(now).is_none_or(|seen| now.duration_since(seen) > HELD)
     }
@@ -202,7 +203,7 @@ impl Screen {
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
                 KeyCode::Char(letter) if Some(letter) == self.clutch => {
-                    // Counts once, however long the key is held.
+                    // The key counts once, however long it is held.
                     let is_new = self.clutch_held.is_new(Instant::now());
                     if is_new && key.kind == KeyEventKind::Press {
                         control.order(Order::Clutch);
@@ -289,7 +290,7 @@ mod tests {
         let (mut held, began) = (Held::default(), Instant::now());
         let at = |ms| began + Duration::from_millis(ms);
         assert!(held.is_new(at(0)));
-        // The first repeat of a slow terminal, then thirty a second for five seconds.
+        // The first repeat of a slow terminal is followed by thirty repeats per second for five seconds.
         let repeats = std::iter::once(660).chain((690..5690).step_by(33));
         for ms in repeats {
             assert!(!held.is_new(at(ms)), "{ms}");

@@ -3,6 +3,7 @@
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, bail, ensure};
 use host_bridge::hands::ModelFile;
@@ -14,6 +15,7 @@ use shared_dsp::right::network::Model;
 use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 
 use super::ports::PortOptions;
+use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 /// Maximum time without progress, which is long enough for reconnecting a cable.
@@ -27,7 +29,7 @@ pub struct Args {
     model: PathBuf,
     #[command(flatten)]
     port: PortOptions,
-    /// Send it even if the board already runs this model
+    /// Send the model even if the board already runs this model
     #[arg(long)]
     force: bool,
 }
@@ -68,13 +70,19 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     }
     let mut upload = Upload::new(file.blob(), talk.next_request())?;
-    transfer(&mut talk, &mut upload, who.boot_id)?;
+    transfer(&mut talk, &mut upload, who.boot_id, &AtomicBool::new(false))?;
     println!("model {old:08x} → {new:08x}: verified and kept by the board");
     println!("it is used after the next restart: press reset, then `host-bridge doctor` shows {new:08x}");
     Ok(ExitCode::SUCCESS)
 }
 
-fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()> {
+/// Sends everything, and resumes after an interruption. Ends early when `quit` is set.
+pub(super) fn transfer(
+    talk: &mut Talk,
+    upload: &mut Upload,
+    mut boot_id: u32,
+    quit: &AtomicBool,
+) -> Result<()> {
     let mut progress_ms = talk.now_ms();
     let mut open = true;
     let mut reached = upload.progress().0;
@@ -89,6 +97,9 @@ fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()
             Stage::Failed(why) => bail!("{why}"),
             _ => {}
         }
+        if quit.load(Ordering::SeqCst) {
+            return Err(Interrupted.into());
+        }
         if open
             && talk.is_ready()
             && let Some(message) = upload.poll(talk.now_ms())
@@ -100,8 +111,10 @@ fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()
             Some((_, Said::Ack(ack))) => upload.ack(&ack),
             Some((_, Said::Hello(who))) if who.boot_id != boot_id => {
                 boot_id = who.boot_id;
-                println!("the board restarted: from the start");
                 upload.restarted();
+                if *upload.stage() == Stage::Begin {
+                    println!("the board restarted: from the start");
+                }
             }
             Some((_, Said::Closed(why))) => {
                 open = false;
@@ -125,7 +138,7 @@ fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()
         }
         if talk.now_ms() - progress_ms > PATIENCE_MS {
             bail!(
-                "{}: no progress for a minute; the board keeps its old model. Check the cable and send again",
+                "{}: no progress for a minute; the board keeps what it has. Check the cable and send again",
                 talk.port()
             );
         }

@@ -39,7 +39,7 @@ pub struct Args {
     /// Configuration file with the robot's names under ros2, and for the pose if there is no scene
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Move to the pose (or perform the motion) with this name instead
+    /// Instead of saving a pose, move to the pose with this name (or perform the motion)
     #[arg(long)]
     play: bool,
     /// Do not ask before the arm moves
@@ -105,7 +105,9 @@ type Remote = Director<Box<dyn Robot + Send>>;
 
 fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     let base = stage.simulator(config).base_limits().to_owned();
-    let graph = Graph::open(&config.ros2, stage.limits, base, None)?;
+    let mut ros2 = config.ros2.clone();
+    stage.tell(&mut ros2);
+    let graph = Graph::open(&ros2, stage.limits, base, None)?;
     eprintln!("{}", graph.about);
     let robot: Box<dyn Robot + Send> = Box::new(graph.driver);
     Ok(stage.before(robot))

@@ -54,7 +54,7 @@ impl WebArgs {
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Access options also imply the page, unless they belong to Foxglove.
+        // Access options also imply the page, unless they belong only to Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));

@@ -9,12 +9,12 @@ use super::session::{Happened, Streams};
 pub enum Cut {
     /// The complete session is one episode.
     Whole,
-    /// One episode for each motion of the arm, from the gesture to its end.
-    /// A motion that did not reach its pose must be repeated, so it is omitted.
+    /// One episode for each motion of the arm, from the gesture to the end of the motion.
+    /// A motion that did not reach its pose must be repeated, and is therefore omitted.
     Motions,
     /// Episodes are defined by the marks that the operator set during the session.
     Marks {
-        /// Whether to select only good episodes instead of all completed ones.
+        /// Whether to select only good episodes instead of all completed episodes.
         only_good: bool,
     },
     /// Gestures that are reserved for marking.
@@ -111,7 +111,7 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     cutter.found
 }
 
-/// Returns the episodes, in the words in which the program reported them to the operator during the session.
+/// Returns the episodes that the operator's marks define. The session's own reports used the same rules.
 fn takes(streams: &Streams, over_ms: u64) -> Vec<Take> {
     let mut tally = Tally::default();
     for (time_ms, happened) in &streams.events {

@@ -37,7 +37,7 @@ pub struct Rows {
     pub task: String,
     /// Positions of base and joints, and speeds of the base; one entry per row.
     pub state: Vec<Vec<f32>>,
-    /// Commanded speed of the base, and the joint positions of the following row; one entry per row.
+    /// Commanded speed of the base, and the joint positions of the next row. There is one entry per row.
     /// (A session's file contains the arm's path, but not its set points.)
     pub action: Vec<Vec<f32>>,
 }
@@ -60,7 +60,7 @@ fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s
 /// Returns the rows of an episode.
 ///
 /// # Errors
-/// Fails if a stream has a gap. The error contains its name and time.
+/// Fails if a stream has a gap. The error names the stream and the time of the gap.
 pub fn rows(streams: &Streams, episode: &Episode, fps: u32) -> Result<Rows, String> {
     let step_ms = 1000.0 / f64::from(fps.max(1));
     let count = ((episode.end_ms - episode.start_ms) as f64 / step_ms + 1e-9).floor() as usize + 1;

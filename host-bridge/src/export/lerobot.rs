@@ -2,8 +2,8 @@
 //! `meta/episodes/chunk-000/file-000.parquet` and `data/chunk-000/file-000.parquet`.
 //!
 //! Timestamps are `frame_index / fps`.
-//! The statistics (minimum, maximum, mean, standard deviation, count) of every feature
-//! are stored for each episode and for all episodes together.
+//! Statistics are stored for each episode, and for all episodes together.
+//! They are the minimum, maximum, mean, standard deviation and count of every feature.
 
 use std::path::Path;
 

@@ -1,10 +1,11 @@
-//! Exports session files for training robots (feature `mcap`; `lerobot` for parquet).
+//! Exports session files for training robots (feature `mcap`; for Parquet files, feature `lerobot`).
 //!
 //! ```text
 //! FILE.mcap ─ session ─► streams over time ─ episodes ─► begun, ended ─ frames ─► rows at an even rate ─► csv, lerobot
 //! ```
 //!
-//! A row contains each stream's newest message at the row's time, at most [`frames::HELD_MS`] old.
+//! A row contains each stream's newest message at the row's time.
+//! The message is at most [`frames::HELD_MS`] old.
 //! An episode with older messages is refused; nothing is interpolated.
 
 pub mod csv;

@@ -13,7 +13,7 @@ use mcap::records::Record;
 use crate::journal::METADATA;
 use crate::journal::records::records;
 
-/// The contents of a file, each stream sorted by time (ms since the session began).
+/// The contents of a file. Each stream is sorted by time (ms since the session began).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Streams {
     /// Title of the recorded session.
@@ -37,7 +37,7 @@ pub struct Streams {
 pub enum Happened {
     /// A gesture was performed, with the motion that it started, if any.
     Gesture(String, Option<String>),
-    /// A motion ended, either at its pose or before.
+    /// A motion ended, either at its pose or earlier.
     MotionEnded(String, bool),
     /// The operator pressed stop on a keyboard or on the page.
     StopKey,
@@ -171,7 +171,7 @@ impl Streams {
             }
             Topic::Marks => {
                 let MarkMessage { time_ms, mark, .. } = decode(data)?;
-                // A mark that only a later version knows is ignored.
+                // A mark that only a later version knows is ignored here.
                 self.events.extend(mark.parse().ok().map(|mark| (time_ms, Happened::Marked(mark))));
             }
             _ => {}

@@ -132,7 +132,7 @@ fn lists<T: DataType>(
     rows: &[Vec<T::T>],
 ) -> Result<(), ParquetError> {
     let values: Vec<T::T> = rows.iter().flatten().cloned().collect();
-    // 0 begins a list and 1 continues it; lists are never empty or missing.
+    // A 0 begins a list, and a 1 continues it. Lists are never empty or missing.
     let repeats: Vec<i16> = rows.iter().flat_map(|row| (0..row.len()).map(|n| i16::from(n > 0))).collect();
     batch::<T>(group, &values, Some(&repeats))
 }

@@ -1,8 +1,8 @@
-//! Sessions in files (feature `mcap`): their initial conditions, and a replay that compares results.
+//! Sessions in files (feature `mcap`): their initial conditions, and replays that compare results.
 //!
 //! * [`setup`]: the initial conditions of a session, stored as the file's metadata,
-//! * [`mod@replay`]: sends a file's bytes and keys through the engine;
-//!   every resulting message must equal that in the file.
+//! * [`mod@replay`]: sends a file's bytes and keys through the engine.
+//!   Every resulting message must equal the message in the file.
 
 pub mod replay;
 pub mod setup;

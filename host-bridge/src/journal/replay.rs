@@ -22,7 +22,7 @@ use host_topics::bimanual::{Bytes, Operated, Refused, Turns};
 use host_topics::cdr::decode;
 use host_topics::{Entry, Origin, Topic};
 
-/// Maximum length of a step in ms; a step may be long because the laptop was suspended.
+/// Maximum length of a step in ms. A step may be long because the laptop was suspended.
 const PAUSE_MS: u64 = 3_600_000;
 
 /// The result of a replay.
@@ -42,7 +42,7 @@ pub struct Replay {
     pub different: u64,
     /// The first message that differs.
     pub first_difference: Option<String>,
-    /// The reason why the file ends early: it was still being written, or it is damaged.
+    /// The reason why the file ends early. Either it was still being written, or it is damaged.
     pub cut: Option<String>,
     /// Number of numbered messages that another program removed from the file.
     pub missing: u64,
@@ -126,7 +126,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let player = player.ok_or(ReplayError::NoSetup)?;
     let mut result = player.end(cut);
     result.missing = numbers.missing();
-    // Every session contains these topics from its first moment.
+    // Every session contains these topics from its first moment on.
     let always =
         [Topic::Turns, Topic::Hands, Topic::Twist, Topic::Joints, Topic::Odometry, Topic::Transforms];
     let names = always.into_iter().map(Topic::name);
@@ -147,7 +147,7 @@ impl Numbers {
         self.largest = self.largest.max(number);
     }
 
-    /// Returns the number of missing messages. It is 0 if a program uses its own numbering or none.
+    /// Returns the number of missing messages. It is 0 if a program uses its own numbering, or no numbering.
     fn missing(&self) -> u64 {
         (u64::from(self.largest) + 1).saturating_sub(self.count)
     }
@@ -164,7 +164,7 @@ struct Player {
     bridge: Bridge,
     robot: Director<Simulator>,
     moved_ms: u64,
-    /// Whether an external robot was driven, so that only the hands' messages are compared.
+    /// Whether an external robot was driven. In this case, only the hands' messages are compared.
     elsewhere: bool,
     /// Results of the most recent steps, which must be the next messages in the file.
     due: VecDeque<Entry>,
@@ -253,7 +253,7 @@ impl Player {
         self.result.first_difference.get_or_insert(what);
     }
 
-    /// Processes inputs and steps; `None` if the message cannot be read.
+    /// Processes inputs and steps. Returns `None` if the message cannot be read.
     fn repeat(&mut self, entry: &Entry) -> Option<()> {
         let hand = match entry.topic {
             Topic::LeftReceived | Topic::LeftSent => Hand::Left,
@@ -262,7 +262,7 @@ impl Player {
         match entry.topic {
             Topic::Turns => {
                 for turn in decode::<Turns>(&entry.data)?.turns {
-                    // A larger number is damaged, and a session of that length would never end.
+                    // A larger value means damage, and a session of that length would never end.
                     let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
                     match turn.kind {
                         0 if turn.ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(turn.ms),
@@ -369,7 +369,8 @@ mod tests {
             let error = replay(bytes).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
         }
-        // This is a complete file of another program: magic, header, data end, footer, magic.
+        // This is a complete file of another program.
+        // It consists of magic, header, data end, footer and magic.
         let mut file = Vec::new();
         let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut file)).unwrap();
         writer.finish().unwrap();

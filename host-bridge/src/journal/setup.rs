@@ -1,4 +1,4 @@
-//! The initial conditions of a session. They are complete, so the same session can be started again.
+//! The initial conditions of a session. They are complete, so that the same session can be started again.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ pub struct Setup {
     pub title: String,
     /// The configuration: limits, times, base, arm and motions.
     pub config: Config,
-    /// `LABEL=MOTION` mappings in the given order, applied after those of `config`.
+    /// `LABEL=MOTION` mappings in the given order. They are applied after those of `config`.
     pub maps: Vec<String>,
     /// The robot's surroundings.
     pub scene: Option<SceneText>,
@@ -31,7 +31,7 @@ pub struct Setup {
     pub origin_ns: u64,
     /// Whether an external robot was driven, whose motion cannot be recomputed.
     pub robot_elsewhere: bool,
-    /// Whether motions were planned outside the control thread; if so, they begin at the times in the file.
+    /// Whether motions were planned outside the control thread. If so, they begin at the times in the file.
     pub plans_aside: bool,
     /// Description of the task, for training robots.
     pub task: Option<String>,

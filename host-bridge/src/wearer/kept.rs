@@ -1,5 +1,5 @@
-//! The files of a wearer: `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`, and the model `FOLDER/NAME/NAME.tflite` with
-//! its accompanying files.
+//! The files of a wearer. The recordings are `FOLDER/NAME/recordings/<label>/NAME__<n>.csv`.
+//! The model is `FOLDER/NAME/NAME.tflite` with its accompanying files.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -18,14 +18,14 @@ const TAKE_S: usize = 5;
 
 /// The wearer's files, and the model to start from.
 pub struct Kept {
-    /// A wearer who gave no name gets one with the first recording.
+    /// A wearer who gave no name gets one when the first recording is saved.
     settings: Settings,
     /// The base model, which is read only once.
     base: Option<Result<Adaptable, String>>,
 }
 
 impl Kept {
-    /// Creates the value; nothing is read yet.
+    /// Creates the value. Nothing is read yet.
     pub fn new(settings: Settings) -> Self {
         Kept { settings, base: None }
     }
@@ -43,7 +43,7 @@ impl Kept {
         self.settings.folder.join(name)
     }
 
-    /// Returns the possible actions of the wearer if the board runs this model.
+    /// Returns the actions that are possible for the wearer if the board runs this model.
     pub(super) fn offer(&mut self, model_id: u32, labels: &[String]) -> Offer {
         let base = match self.base() {
             Ok(base) => base,
@@ -102,7 +102,8 @@ impl Kept {
         }
     }
 
-    /// Saves the recordings and trains with all recordings of this wearer. Returns the model, or why there is none.
+    /// Saves the recordings and trains with all recordings of this wearer.
+    /// Returns the model, or the reason why there is none.
     pub(super) fn learn(&mut self, shown: &Shown) -> Result<Vec<u8>, String> {
         let name = match &self.settings.name {
             Some(name) => name.clone(),
@@ -139,8 +140,8 @@ impl Kept {
     }
 }
 
-/// Reserves the first free number among a person's recordings: it creates an empty file, so that no other program
-/// uses the number.
+/// Reserves the first free number among a person's recordings.
+/// The function creates an empty file, so that no other program uses the number.
 ///
 /// # Errors
 /// Fails if the folder or the file cannot be created.

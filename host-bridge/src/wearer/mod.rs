@@ -1,5 +1,5 @@
-//! The first minute: the wearer of the right hand shows each gesture three times, and the board gets a model that was
-//! trained with these recordings.
+//! The first minute: the wearer of the right hand shows each gesture three times.
+//! The board then gets a model that was trained with these recordings.
 //!
 //! ```text
 //! key, page ─► Wearer ─ text, button ─► terminal, page, JSON
@@ -7,9 +7,9 @@
 //!                └─► a thread of its own: files, learning ─► kept in FOLDER/NAME
 //! ```
 //!
-//! The control thread polls this in every turn and never waits; the other thread reads files and trains. Gestures that
-//! are shown move nothing: the board sends samples instead of gestures, and the bridge ignores all gestures
-//! until the new model is on the board.
+//! The control thread polls this in every turn and never waits. The other thread reads files and trains.
+//! Gestures that are shown move nothing. The board sends samples instead of gestures,
+//! and the bridge ignores all gestures until the new model is on the board.
 
 mod kept;
 
@@ -29,7 +29,8 @@ pub use kept::{Kept, next_file};
 
 /// Range of request numbers that one showing may use.
 const REQUESTS: u16 = 0x400;
-/// Gestures have no effect for this long after the last one was shown, because it may still be in the board's window.
+/// Gestures have no effect for this long after the last one was shown.
+/// The board's window may still contain that gesture.
 const AFTER_MS: u64 = 3000;
 /// Interval at which the other thread checks whether the session is over.
 const PATIENCE: Duration = Duration::from_secs(3600);
@@ -78,7 +79,7 @@ pub struct Wearer {
     answers: Receiver<Answer>,
     offer: Offer,
     showing: Option<Showing>,
-    /// Number of showings so far, so that each gets request numbers of its own.
+    /// Number of showings so far. It gives each showing its own request numbers.
     showings: u16,
     /// Number of jobs that the other thread has not answered.
     unanswered: usize,
@@ -92,21 +93,21 @@ pub struct Wearer {
 }
 
 impl Wearer {
-    /// Starts with a thread of its own, which uses the time of `clock`.
+    /// Starts the wearer's own thread, which uses the time of `clock`.
     ///
     /// # Errors
     /// Fails if the system cannot start a thread.
     pub fn start(settings: Settings, clock: &dyn Clock) -> std::io::Result<Self> {
         let (jobs, incoming) = sync_channel::<Job>(4);
         let (outgoing, answers) = sync_channel(4);
-        // With it, the clock knows when the other thread reads or trains.
+        // With this waiter, the clock knows when the other thread reads or trains.
         let waiter = clock.waiter();
         std::thread::Builder::new().name("wearer".to_owned()).spawn(move || {
             let mut kept = Kept::new(settings);
             loop {
                 let job = match waiter.receive(&incoming, PATIENCE) {
                     Ok(job) => job,
-                    // A session may last longer than an hour without a job.
+                    // A session may last longer than an hour while no job arrives.
                     Err(RecvTimeoutError::Timeout) => continue,
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
@@ -134,7 +135,7 @@ impl Wearer {
         })
     }
 
-    /// The key or the page's button was pressed: begins, or cancels the action in progress.
+    /// Processes the key or the page's button, which begins an action or cancels the action in progress.
     pub fn press(&mut self) {
         self.pressed = true;
     }
@@ -146,7 +147,8 @@ impl Wearer {
         }
     }
 
-    /// Waits for the other thread. Only tests with virtual time use this, because the control thread never waits.
+    /// Waits for the other thread.
+    /// Only tests with virtual time call this, because the control thread never waits.
     pub fn settle(&mut self, now_ms: u64) {
         while self.unanswered > 0
             && let Ok(answer) = self.answers.recv()
@@ -155,7 +157,7 @@ impl Wearer {
         }
     }
 
-    /// Performs one turn of the control thread. `ready` says whether the board's link accepts bytes.
+    /// Performs one turn of the control thread. `ready` means that the board's link accepts bytes.
     pub fn turn<D: Door>(&mut self, engine: &mut Engine<'static, D>, ready: bool, now_ms: u64) {
         self.look(engine);
         self.answered(now_ms);
@@ -223,7 +225,8 @@ impl Wearer {
         match (answer, &mut self.showing) {
             (Answer::Offer(offer), _) => self.offer = offer,
             (Answer::Learnt(blob), Some(showing)) => showing.learnt(blob, now_ms),
-            // The action was cancelled meanwhile: the model is stored, and offered when the board is checked again.
+            // The action was cancelled in the meantime.
+            // The model is stored, and is offered when the board is checked again.
             (Answer::Learnt(_), None) => self.board = None,
         }
     }
@@ -286,7 +289,7 @@ impl Wearer {
     }
 }
 
-/// Returns the text that asks the wearer to show each of these gestures, and says what will follow.
+/// Returns the text that asks the wearer to show each of these gestures. It also says what follows.
 fn offer_to_show(name: Option<&str>, labels: &[String], seconds: usize) -> String {
     let who = match name {
         Some(name) => format!("{name} has shown nothing yet"),

@@ -143,7 +143,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
     );
-    for word in ["protocol 1.4", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    for word in ["protocol 1.5", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }
@@ -185,7 +185,7 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
         assert!(header.starts_with("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n"));
         let recording = Recording::read(&file).unwrap();
         assert_eq!((recording.axes(), recording.len()), (9, 150));
-        // The recorded samples are a part of the board's recording, with an error of at most half a count.
+        // The recorded samples are a part of the board's recording. Their error is at most half a count.
         let played = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let played = Recording::read(&played).unwrap().resampled();
         let near = |a: &[f32], b: &[f32]| (0..9).all(|i| (a[i] - b[i]).abs() <= [0.004, 0.041, 0.013][i / 3]);

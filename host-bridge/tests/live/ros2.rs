@@ -1,7 +1,7 @@
 //! Runs the program between boards behind pseudo-terminals and an independent robot on the ROS 2 graph.
 //! The robot is `tests/ros2/peer.py` on Eclipse Cyclone DDS.
-//! `cargo xtask test --only "ROS 2"` runs these tests and sets BIMANUAL_ROS2_PYTHON to an interpreter
-//! with the packages.
+//! `cargo xtask test --only "ROS 2"` runs these tests.
+//! It sets BIMANUAL_ROS2_PYTHON to an interpreter with the packages.
 //!
 //! If the system permits it, each test creates its own network namespace, so that tests do not disturb each other.
 
@@ -75,7 +75,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     println!("tilt, decision to robot: median {middle_ms:.2} ms, worst {worst_ms:.2} ms of 20");
     assert!(!lateness.was_quiet() || middle_ms <= DECISION_MS);
 
-    // After a stop, zero is repeated at 50 Hz for a second, and then nothing is sent.
+    // After a stop, zero is repeated at 50 Hz for a second. Then nothing is sent.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     let driven = robot.listen(Duration::from_millis(1000));
@@ -88,7 +88,8 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let since = |v: &&(f64, Value)| number(&v.1["t"]) >= number(&zero["t"]);
     let zeros: Vec<_> = robot.seen.iter().filter(since).filter_map(|(_, v)| speed(v)).collect();
     assert!(zeros.iter().all(|speed| *speed == (0.0, 0.0)), "{zeros:?}");
-    // The controllers' quality of service on Fast DDS stores only the newest message, so a busy robot misses some.
+    // The controllers' quality of service on Fast DDS stores only the newest message.
+    // A busy robot therefore misses some.
     let least = if is_rclpy() { 15 } else { 40 };
     assert!((least..=60).contains(&zeros.len()), "zero is sent {} times, not 50", zeros.len());
 
@@ -153,12 +154,13 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
 
     // A stop in the middle of a motion cancels the motion.
     // The arm runs in wall-clock time, but the hand does not.
-    // On a busy machine only a slow motion is certain to be unfinished in both times.
+    // On a busy machine, only a slow motion is certain to be still running by both clocks.
     robot.order("pace 1");
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    // This fast arm may report a goal as reached early; such goals are also cancelled, because they might continue.
+    // This fast arm may report a goal as reached early.
+    // Goals that were reported early are cancelled too, because they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
@@ -217,7 +219,8 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert!((0..2).all(|i| number(&far["speed_covariance"][i]) > 0.0), "{far}");
     let moved = viewer.wait("the transform", |v| is(v, "tf") && v["child"] == "base_link");
     assert!(number(&moved["position"][0]) >= 0.2, "{moved}");
-    // Subscribers that existed before the description receive it, and it matches the other published data.
+    // Subscribers that existed before the description receive it.
+    // The description matches the other published data.
     let described = viewer.has("the description", |v| is(v, "description"));
     let links = described["links"].as_array().unwrap();
     assert_eq!(links.len(), 10, "base, arm, seven links and the flange: {described}");
@@ -233,7 +236,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     bridge.has("the robot was seen", |v| {
         is(v, "robot") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
     });
-    // A busy machine may read earlier messages somewhat later.
+    // On a busy machine, earlier messages may be read somewhat later.
     let is_quiet = |_| !viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom"));
     assert!((0..20).any(is_quiet));
 
@@ -258,7 +261,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     robot.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "arm = 'topic'\n", &options);
-    // Without joint angles no motion is planned, and the reason is reported.
+    // Without joint angles, no motion is planned, and the reason is reported.
     robot.order("joints off");
     bridge.has("a refusal", |v| {
         is(v, "motion-refused") && v["reason"].as_str().unwrap().contains("joint_state_broadcaster")
@@ -277,6 +280,96 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     );
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
+}
+
+/// Places in the right hand's recording: 16 s of rest, and the beginning of a to-fro.
+const RESTS_S: f64 = 70.5;
+const TO_FRO_S: f64 = 8.2;
+
+#[test]
+fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() {
+    let Some(site) = site("a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest", true)
+    else {
+        return;
+    };
+    let desk = desk("ros2-jog");
+    let domain = domain();
+    let (left, right) = (Double::left(&desk), Double::right(&desk, RESTS_S));
+    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", "--pace", "1"]);
+    robot.has("ready", |v| is(v, "ready"));
+    let options = ["--left", &left.port(), "--right", &right.port()];
+    let mut bridge = bridge(&desk, domain, "[jog]\nlabel = 'to-fro'\n", &options);
+    let lends = |lent: bool| move |v: &Value| is(v, "jogging") && v["lent"] == lent;
+    // The clutch is refused until the program knows the arm, which takes seconds on Fast DDS.
+    let mut lent = None;
+    for _ in 0..20 {
+        right.jump(RESTS_S);
+        bridge.wait("armed", armed);
+        let from = bridge.seen.len();
+        right.jump(TO_FRO_S);
+        lent = bridge.find(from, Duration::from_secs(6), lends(true));
+        if lent.is_some() {
+            break;
+        }
+    }
+    let Some(lent) = lent else { bridge.fail("the clutch never closes") };
+    right.jump(RESTS_S);
+    bridge.wait_from(lent, "both hands neutral", armed);
+    robot.catch_up();
+    let is_piece = |v: &Value| is(v, "trajectory");
+    assert!(!robot.seen.iter().any(|(_, v)| is_piece(v)), "nothing moves yet");
+
+    // The hand stays tilted. A busy machine may halt the arm before it moves, and then needs neutral again.
+    let moves = |v: &Value| is(v, "arm") && v["moves"] == true;
+    let mut has_moved = None;
+    for _ in 0..10 {
+        right.jump(RESTS_S);
+        left.hold(FORWARD);
+        has_moved = robot.wait_for(Duration::from_secs(3), moves);
+        if has_moved.is_some() {
+            break;
+        }
+        left.hold(LEVEL);
+        desk.pass(Duration::from_secs(1));
+    }
+    let Some(moved) = has_moved else { bridge.fail("the arm never moves") };
+    desk.pass(Duration::from_millis(1500));
+    robot.catch_up();
+    bridge.catch_up();
+    assert!(robot.seen.iter().filter(|(_, v)| is_piece(v)).count() > 20);
+
+    // The right hand begins the gesture that opens the clutch. The arm brakes at its first movement, before the
+    // gesture is recognised.
+    let (lateness, place) = (Lateness::watch(), bridge.seen.len());
+    right.jump(TO_FRO_S);
+    let halts = |v: &Value| is(v, "halt") && v["reason"] == "not-at-rest";
+    let halt = bridge.wait_from(place, "the right hand moves", halts);
+    let moving = robot.seen.iter().position(|(_, v)| *v == moved).expect("as seen");
+    let rests = robot.wait_from(moving, "the arm rests", |v| is(v, "arm") && v["moves"] == false);
+    let was_quiet = lateness.was_quiet();
+    let after_ms = |v: &Value| (number(&v["t"]) - bridge.seen[halt].0) * 1000.0;
+    let pieces: Vec<&Value> =
+        robot.seen[moving..rests].iter().map(|(_, v)| v).filter(|v| is_piece(v)).collect();
+    let (brakes_ms, rests_ms) = (after_ms(pieces[pieces.len() - 1]), after_ms(&robot.seen[rests].1));
+    println!(
+        "the clutch opens: the piece that brakes is at the robot {brakes_ms:.0} ms after the halt was printed, the arm \
+         rests after {rests_ms:.0} ms"
+    );
+    assert!(!was_quiet || brakes_ms <= 50.0 && rests_ms <= 50.0 + 330.0, "{brakes_ms} {rests_ms}");
+    let there = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
+    assert!(there.zip(HOME).any(|(there, home)| (there - home).abs() > 0.02), "{}", robot.seen[rests].1);
+
+    // The base stands still, even after the gesture gave the hand back: the hand has not been neutral since.
+    if is_full() {
+        bridge.wait_from(halt, "the clutch is open", lends(false));
+    }
+    desk.pass(Duration::from_millis(500));
+    robot.catch_up();
+    assert!(!robot.seen.iter().any(|(_, v)| base_speed(v).is_some_and(|speed| speed != 0.0)));
+    assert!(!robot.seen[rests..].iter().any(|(_, v)| moves(v)));
+    bridge.interrupt();
+    let (status, _, errors) = bridge.end();
+    assert!(status.success(), "{errors}");
 }
 
 #[test]
@@ -410,7 +503,7 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
     }
 }
 
-/// Returns the arm's angles with the times of their report or display, in order.
+/// Returns the arm's angles in order, with the times at which they were reported or displayed.
 fn angles(seen: &[(f64, Value)], event: &str) -> Vec<(f64, Vec<f64>)> {
     let joints = |v: &Value| v["position"].as_array().unwrap().iter().map(number).collect();
     seen.iter().filter(|(_, v)| is(v, event)).map(|(_, v)| (number(&v["t"]), joints(v))).collect()
@@ -459,8 +552,10 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
-            // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
-            // The newest report before that time counts, with a tolerance for the different clocks of two programs.
+            // The displayed angles must equal the reported angles exactly.
+            // The displayed angles therefore cannot come from the simulator.
+            // The newest report before that time is compared,
+            // with a tolerance for the different clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
@@ -539,7 +634,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     left.hold(BENT);
     robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
 
-    // The publisher of the e-stop has stopped running.
+    // The publisher of the e-stop no longer runs.
     button.order("quit");
     bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
 }
@@ -547,7 +642,8 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // The limit is the braking time at the paper's scaling, plus one cycle of the controllers and one of their observer.
+    // The limit is the braking time at the paper's scaling.
+    // One cycle of the controllers and one cycle of the observer are added.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
@@ -572,7 +668,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
             let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
-            // A busy machine may halt the robot meanwhile, in which case both motions start again.
+            // A busy machine may halt the robot meanwhile. In this case, both motions start again.
             loop {
                 drive_forward(&desk, &left, &mut robot);
                 let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
@@ -618,7 +714,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     }
 }
 
-/// A participant announcement of RTPS 2.3 (8.5.3.2, 9.4.5, 9.6.2), which makes its sender visible on the graph.
+/// A participant announcement of RTPS 2.3 (8.5.3.2, 9.4.5, 9.6.2). It makes its sender visible on the graph.
 fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     let mut parameters = Vec::new();
     let mut put = |id: u16, value: &[u8]| {
@@ -657,7 +753,8 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The DDS library uses about 650 bytes per participant, and mutated announcements can add a hundred participants.
+    // The DDS library uses about 650 bytes per participant.
+    // Mutated announcements can add a hundred participants.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),
@@ -693,7 +790,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
             }
         }
         let memory_mb = used(bridge.process.id()).0;
-        // If this machine was too slow for the board, the program has halted, which is correct.
+        // If this machine was too slow for the board, the program has halted. That is correct.
         bridge.catch_up();
         if !bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v)) {
             left.hold(LEVEL);
@@ -717,7 +814,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One incorrect setup, and the report that `doctor` must print.
+/// An incorrect setup, with the report that `doctor` must print for it.
 struct Wrong {
     what: &'static str,
     /// Options of each robot; an empty list means that there is no robot.
@@ -830,7 +927,7 @@ fn doctor_tries_and_names_what_is_wrong() {
             assert!(text.contains(word), "{word} in\n{text}");
         }
     }
-    // The setups run in small groups, because each one is a program that listens for 4 s.
+    // The setups run in small groups. Each setup is a program that listens for 4 s.
     for some in setups.chunks(6) {
         std::thread::scope(|scope| {
             for setup in some {
@@ -901,7 +998,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     let iptables = |verb: &str| net(&[&["iptables", verb][..], &rule[..], &["-j", "DROP"][..]].concat());
     iptables("-A");
     let (start, start_s) = (Instant::now(), wall_s());
-    // Forward and level alternate, so that an out-of-date command would be wrong.
+    // Forward and level alternate. An out-of-date command would therefore be wrong.
     let mut forward = true;
     while start.elapsed().as_secs_f64() < lossy_s {
         desk.pass(Duration::from_millis(700));
@@ -1062,7 +1159,7 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     ) else {
         return;
     };
-    // For each middleware one gripper type is tested, and with --full both types.
+    // For each middleware, one gripper type is tested. With --full, both types are tested.
     let kinds = ["command", "parallel"];
     let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
     for kind in kinds {
@@ -1077,8 +1174,8 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     }
 }
 
-/// A robot whose gripper uses this kind of action. The joint's positions are 0 (open), 0.08 (closed), and
-/// 0.03 (stopped by an object).
+/// A robot whose gripper uses this kind of action.
+/// The joint's positions are 0 (open), 0.08 (closed), and 0.03 (stopped by an object).
 pub(super) fn grips_with(kind: &str) -> [&str; 4] {
     ["--gripper", kind, "--blocked", "0.03"]
 }
@@ -1090,6 +1187,9 @@ pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
 pub(super) const GRIP_MAPS: [&str; 6] =
     ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
 
+/// Maximum time from a gesture's event to the goal at the gripper.
+const GRIP_MS: f64 = 200.0;
+
 /// The gripper closes on the object, opens, and is halted while it closes again.
 pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Teller, bridge: &mut Teller) {
     let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
@@ -1098,10 +1198,16 @@ pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Tell
     };
     let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
+    let lateness = Lateness::watch();
     // A stall on the object counts as success, and the distance of the fingers is reported: 5/8 of 85 mm.
     let asked = robot.has("it is asked to close", asks(0.08));
     println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
-    // The wearer's earlier gestures are ignored, because a program that started slowly may have missed some.
+    let closes = |v: &Value| started(v).is_some_and(|gesture| gesture["outcome"] == "started close-gripper");
+    let told = robot.has("the gesture's diagnostics", closes);
+    let starts_ms = (number(&asked["t"]) - number(&told["stamp"])) * 1000.0;
+    println!("{kind}: gesture to the gripper's goal {starts_ms:.1} ms");
+    assert!(!lateness.was_quiet() || starts_ms <= GRIP_MS, "{starts_ms}");
+    // The wearer's earlier gestures are ignored. A program that started slowly may have missed some of them.
     let then_s = number(&asked["t"]);
     let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
     println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
@@ -1145,14 +1251,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
         &raised[..7]
     );
     std::fs::write(&file, &text).unwrap();
-    let teach = |arguments: &[&str]| {
-        let mut command = Command::new(crate::host_bridge());
-        command.arg("teach").args(arguments).arg("--config").arg(&file).env_remove("ROS_DOMAIN_ID");
-        let output = command.output().unwrap();
-        let both = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
-        println!("teach {arguments:?}: {}", both.join(""));
-        (output.status.success(), both.join(""))
-    };
+    let teach = |arguments: &[&str]| teach(&[arguments, &["--config", file.to_str().unwrap()]].concat());
     let (done, said) = teach(&["raised", "--play", "--yes"]);
     assert!(done && said.contains("'raised' reached"), "{said}");
     let (done, said) = teach(&["there"]);
@@ -1164,9 +1263,176 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     let off = there.iter().zip(raised).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     println!("taught {off:.4} rad from where it was sent");
     assert!(off < 0.01, "{there:?}");
-    // Without a terminal the program asks no question, and a missing pose is reported by its name.
+    // Without a terminal, the program asks no question. A missing pose is reported by its name.
     let (done, said) = teach(&["raised", "--play"]);
     assert!(!done && said.contains("--yes"), "{said}");
     let (done, said) = teach(&["nowhere", "--play", "--yes"]);
     assert!(!done && said.contains("'nowhere'"), "{said}");
+}
+
+/// Runs `teach` with these arguments, and returns whether it succeeded and what it said.
+fn teach(arguments: &[&str]) -> (bool, String) {
+    let mut command = Command::new(crate::host_bridge());
+    command.arg("teach").args(arguments).env_remove("ROS_DOMAIN_ID");
+    let output = command.output().unwrap();
+    let both = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+    println!("teach {arguments:?}: {}", both.join(""));
+    (output.status.success(), both.join(""))
+}
+
+/// The angles at which the robot's arm rests.
+fn rests_at(robot: &mut Teller) -> Vec<f64> {
+    robot.catch_up();
+    let rest = robot.seen.iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
+    rest.map_or(HOME.to_vec(), |(_, v)| v["position"].as_array().unwrap().iter().map(number).collect())
+}
+
+#[test]
+fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_place() {
+    let Some(site) =
+        site("the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_place", false)
+    else {
+        return;
+    };
+    let desk = desk("ros2-thing");
+    let domain = domain();
+    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", "--pace", "1"]);
+    robot.has("ready", |v| is(v, "ready"));
+    let file = desk.path("thing.toml");
+    let text = format!(
+        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n\n[[box]]\nname = 'table'\n\
+         center_m = [0.9, 0, 0.2]\nsize_m = [0.6, 0.9, 0.4]\n\n[arm]\nvelocity_scaling = 0.5\n\
+         acceleration_scaling = 0.3\n\n[[motion]]\nname = 'above'\nsteps = [\n\
+         {{ position_m = [0, 0, 0.2], quaternion_wxyz = [0, 1, 0, 0], frame = '/cup_pose', age_max_s = 1 }},\n]\n"
+    );
+    std::fs::write(&file, &text).unwrap();
+    let play = || teach(&["above", "--play", "--yes", "--scene", file.to_str().unwrap()]);
+    let places_m = [[0.55, 0.1, 0.1], [0.6, -0.15, 0.2]];
+    for cup_m in &places_m[..if is_full() { 2 } else { 1 }] {
+        let [x, y, z] = cup_m;
+        robot.order(&format!("thing /cup_pose arm_base_link {x} {y} {z} 0.05"));
+        let (done, said) = play();
+        assert!(done, "{said}");
+        let mut here = host_bridge::robot::Joints::default();
+        here[..7].copy_from_slice(&rests_at(&mut robot));
+        let there_m = host_bridge::arm::model::SerialArm::gen3().flange_pose(&here).position_m;
+        let off_m =
+            ((there_m.x - x).powi(2) + (there_m.y - y).powi(2) + (there_m.z - z - 0.2).powi(2)).sqrt();
+        println!("{off_m:.4} m from the place above the thing");
+        assert!(off_m < 0.005);
+    }
+    let before = rests_at(&mut robot);
+    for (order, told) in [
+        ("thing /cup_pose arm_base_link 0.55 0.1 0.1 3", "the newest pose on /cup_pose is 3."),
+        ("thing /cup_pose arm_base_link 0.6 0 -0.3 0.05", "no joint angles were found"),
+    ] {
+        robot.order(order);
+        // What was sent before has come.
+        desk.pass(Duration::from_millis(300));
+        let (done, said) = play();
+        assert!(!done && said.contains(told), "{said}");
+    }
+    assert_eq!(rests_at(&mut robot), before, "nothing has moved");
+}
+
+/// A joint of a description: name, type, `xyz` and `rpy` of its origin, axis.
+type UrdfJoint = (&'static str, &'static str, [f64; 3], [f64; 3], &'static str);
+
+/// An arm of nobody's make with the measures, joints and controller of a UR5e.
+const UR5E: &[UrdfJoint] = &[
+    ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
+    ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("elbow_joint", "revolute", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
+    ("wrist_1_joint", "revolute", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("wrist_2_joint", "revolute", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
+    ("wrist_3_joint", "revolute", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
+];
+
+/// The description of such an arm, from `base_link` to `tool0`.
+fn urdf(joints: &[UrdfJoint]) -> String {
+    let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
+    let link = |name: &str| {
+        format!(
+            "<link name='{name}'><collision><geometry><sphere radius='0.03'/></geometry></collision></link>\n"
+        )
+    };
+    let mut text = format!("<?xml version='1.0'?><robot name='arm'>\n{}", link("base_link"));
+    let mut parent = "base_link".to_owned();
+    for (i, (name, kind, at_m, turn, axis)) in joints.iter().enumerate() {
+        let child = format!("link_{}", i + 1);
+        let (low, high, speed) = if *kind == "prismatic" { (0.0, 0.8, 0.3) } else { (-3.1, 3.1, 3.0) };
+        text += &link(&child);
+        text += &format!(
+            "<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
+             rpy='{}'/><axis xyz='{axis}'/><limit lower='{low}' upper='{high}' effort='9' velocity='{speed}'/></joint>\n",
+            numbers(*at_m),
+            numbers(*turn)
+        );
+        parent = child;
+    }
+    text + &format!(
+        "<link name='tool0'/><joint name='flange' type='fixed'><parent link='{parent}'/><child link='tool0'/><origin \
+         xyz='0 0.1 0'/></joint></robot>\n"
+    )
+}
+
+#[cfg(feature = "urdf")]
+#[test]
+fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
+    let Some(site) = site("another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml", false)
+    else {
+        return;
+    };
+    let ur5e = include_str!("../../robots/ur5e.toml");
+    let arms = [(
+        "ur5e",
+        UR5E,
+        "scaled_joint_trajectory_controller",
+        vec![0.3, -1.4, 1.5, -1.6, -1.5, 0.2],
+        Some(ur5e),
+    )];
+    for (name, joints, controller, start, profile) in arms {
+        let desk = desk(&format!("ros2-{name}"));
+        let domain = domain();
+        let description = desk.path("published.urdf");
+        std::fs::write(&description, urdf(joints)).unwrap();
+        let names: Vec<&str> = joints.iter().map(|joint| joint.0).collect();
+        let begin: Vec<String> = start.iter().map(f64::to_string).collect();
+        let begin = format!("--start={}", begin.join(","));
+        let (names, description) = (names.join(","), description.to_str().unwrap().to_owned());
+        let options = ["--robot", "--action", "--odom", "--pace", "1", "--joints", &names, &begin];
+        let more = ["--arm-controller", controller, "--description", &description];
+        let mut robot = peer(&desk, &site.python, domain, &[&options[..], &more[..]].concat());
+        robot.has("ready", |v| is(v, "ready"));
+
+        let (config, scene) = (desk.path("graph.toml"), desk.path(&format!("{name}.toml")));
+        std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n"))
+            .unwrap();
+        if let Some(profile) = profile {
+            std::fs::write(&scene, profile).unwrap();
+        }
+        let mut command = Command::new(crate::host_bridge());
+        command.arg("arm").arg(&scene).arg("--config").arg(&config).env_remove("ROS_DOMAIN_ID");
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+
+        let files = ["--scene", scene.to_str().unwrap(), "--config", config.to_str().unwrap()];
+        let (done, said) = teach(&[&["here"], &files[..]].concat());
+        assert!(done, "{name}: {said}");
+        // Another pose, as somebody types it, and then back to what was taught.
+        let up: Vec<f64> = start.iter().map(|value| value + 0.05).collect();
+        let taught = std::fs::read_to_string(&scene).unwrap();
+        let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+        let lines = lines.count();
+        println!("{name}: {lines} lines of TOML with the pose");
+        assert!(lines <= 20, "{taught}");
+        std::fs::write(&scene, format!("{taught}\n[[pose]]\nname = \"up\"\njoints_rad = {up:?}\n")).unwrap();
+        for (pose, there) in [("up", &up), ("here", &start)] {
+            let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
+            assert!(done && said.contains("reached"), "{name} {pose}: {said}");
+            let off = rests_at(&mut robot).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            println!("{name}: '{pose}' reached, {off:.4} rad or m off");
+            assert!(off < 0.01);
+        }
+    }
 }

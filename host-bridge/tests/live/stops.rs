@@ -1,11 +1,12 @@
 //! Tests that stops work on the real program while other parts fail.
-//! Each test is a row of the campaign (`cargo xtask campaign`).
+//! Each test is one row of the campaign (`cargo xtask campaign`).
 //!
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
 //! The operating system affects only programs in wall-clock time (by signals, terminals, floods, pauses).
 //! Most of these tests therefore also run in wall-clock time and wait for each expected result.
-//! Time limits are judged on a quiet machine ([`Lateness`]); a busy machine gets [`GRACE_MS`] more.
-//! Two kinds of tests use a desk with simulated time: those of recordings, and those of commands without a reader.
+//! Time limits are judged on a quiet machine ([`Lateness`]). A busy machine gets [`GRACE_MS`] more.
+//! Two kinds of tests use a desk with simulated time:
+//! tests of recordings, and tests of commands without a reader.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -31,7 +32,7 @@ use crate::talker::{Flood, Talker};
 const PATIENCE: Duration = Duration::from_secs(240);
 const PROGRAM: &str = env!("CARGO_BIN_EXE_host-bridge");
 
-/// Extra time on a machine with two processors that also runs other tests.
+/// Extra time for a machine with two processors that also runs other tests.
 const GRACE_MS: u64 = 500;
 
 fn is_full() -> bool {
@@ -92,7 +93,7 @@ impl Bridge {
     }
 
     /// Drives forward from neutral. Returns the index from which to search for later lines.
-    /// A busy machine delays the board, and the bridge then halts correctly; the drive restarts from neutral.
+    /// If a busy machine delays the board, the bridge halts correctly. The drive then restarts from neutral.
     fn drive(&self, talker: &Talker, mut from: usize) -> usize {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -200,7 +201,7 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
             bridge.signal(name);
             let (took, code) = end_of(&mut bridge.child);
             assert_eq!(code, Some(0), "{name}");
-            // The last line is the final state, so all output was written and none was truncated.
+            // The last line is the final state. All output was therefore written, and none was truncated.
             bridge.wait(from, |line| line["event"] == "end");
             worst = worst.max(ms(took));
             count += 1;
@@ -214,11 +215,11 @@ struct OnTerminal {
     child: Child,
     /// The test's side of the terminal, which receives the screen output.
     screen: File,
-    /// Kept open so that the terminal's settings can be queried.
+    /// The terminal is kept open, so that its settings can be queried.
     terminal: File,
 }
 
-/// Returns a copy of the descriptor that no other program inherits, because otherwise the terminal would stay open.
+/// Returns a copy of the descriptor that no other program inherits. Otherwise, the terminal would stay open.
 fn file(port: TTYPort) -> File {
     // Safety: the port gives up ownership of its descriptor.
     let port: OwnedFd = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
@@ -282,7 +283,7 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
     for args in verbs {
         for name in ["-TERM", "-HUP", "-INT", "-QUIT"] {
             let mut there = OnTerminal::start(args, false);
-            // `start` leaves the terminal in a shell's mode, and the program switches it to raw mode.
+            // `start` leaves the terminal in a shell's mode. The program switches it to raw mode.
             there.wait_for("\x1b[?1049h");
             let raw = there.settings();
             signal(&there.child, name);
@@ -326,7 +327,7 @@ fn a_terminal_that_takes_no_output_delays_no_end() {
     let port = talker.port();
     let mut there = OnTerminal::start(&["run", "--left", &port, "--seconds", "60"], false);
     there.wait_for("\x1b[?1049h");
-    // From here on nobody reads, so the live view's output fills the terminal's buffer.
+    // From here on, nobody reads, and the live view's output fills the terminal's buffer.
     std::thread::sleep(Duration::from_secs(3));
     signal(&there.child, "-TERM");
     let (took, _) = end_of(&mut there.child);
@@ -365,7 +366,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();
     let (mut worst, mut memory_mb) = (0, 0);
-    // Tests one page that was connected before, and another that connects afterwards.
+    // The test has two cases: the page was connected before, or it connects afterwards.
     for comes_late in [false, true] {
         let talker = Talker::start(folder.path());
         let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);
@@ -419,7 +420,8 @@ fn a_reader_of_json_that_stops_reading_delays_no_halt() {
     let (_, seen, line) = bridge.wait(from - 1, |line| line["heading"] == "forward");
     let program_ms = line["time_ms"].as_u64().unwrap();
     bridge.reads.store(false, Ordering::SeqCst);
-    // Each of 60 changes of heading produces a line; together they need several times the capacity of the pipe.
+    // Each of the 60 changes of heading produces a line.
+    // Together, the lines need several times the pipe's capacity.
     for change in 0..60 {
         talker.point(if change % 2 == 0 { Heading::Left } else { Heading::Right });
         std::thread::sleep(Duration::from_millis(40));
@@ -499,7 +501,8 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
     for verb in &verbs {
         for sink in ["| true", "| head -c 1", "> /dev/full", "> /dev/full 2> /dev/full", ">&- 2>&-"] {
             let mut shell = Command::new("bash");
-            // With this option, the exit code is that of the program instead of that of the pipeline's last command.
+            // With this option, the shell returns the program's exit code,
+            // and not the exit code of the pipeline's last command.
             shell.args(["-c", &format!("{PROGRAM} {verb} {sink}; exit ${{PIPESTATUS[0]}}")]);
             let (status, told) = desk.start(shell).end();
             assert!(status.code() != Some(101) && !told.contains("panicked"), "{verb} {sink}: {told}");

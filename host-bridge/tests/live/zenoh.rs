@@ -1,5 +1,6 @@
-//! Tests the program over Zenoh: through a router with TLS and access control (files of docs/zenoh, as described in
-//! docs/sites.md) to an independent robot, `tests/ros2/zenoh_peer.py`. Run: `cargo xtask test --full --only Zenoh`.
+//! Tests the program over Zenoh, from a router to an independent robot (`tests/ros2/zenoh_peer.py`).
+//! The router uses TLS and access control, with the files of docs/zenoh as described in docs/sites.md.
+//! Run: `cargo xtask test --full --only Zenoh`.
 
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -17,7 +18,8 @@ use crate::program::Desk;
 
 /// Duration for which the router is stopped, in wall-clock time.
 const STALL: Duration = Duration::from_secs(2);
-/// Maximum time from the router's continuation to zero speed at the robot, for waiting messages and TCP's pauses.
+/// Maximum time from the router's continuation to zero speed at the robot.
+/// This time covers waiting messages and TCP's pauses.
 const AFTER_STALL_MS: f64 = 1500.0;
 
 /// Creates certificates, and copies the files of docs/zenoh with the paths of these certificates.
@@ -90,7 +92,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     let ports = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, 0, &section, &ports);
 
-    // The other side reads types, hashes and quality of service from the tokens.
+    // The other side reads types, hashes and quality of service from the tokens of the bridge.
     for (topic, type_name) in [
         ("rt/cell1/cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_"),
         (
@@ -142,7 +144,8 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     left.hold(LEVEL);
     bridge.wait("armed again", armed);
 
-    // A stop comes before the reply to the goal, so the cancellation is repeated until the goal's end is known.
+    // A stop comes before the reply to the goal.
+    // The cancellation is therefore repeated until the goal's end is known.
     robot.order("arm late");
     robot.wait("a goal that is not answered", |v| is(v, "goal") && v["mode"] == "late");
     left.hold(BENT);
@@ -165,7 +168,7 @@ fn hands_drive_a_robot_through_a_router_with_tls_and_access_control_and_no_stall
     robot.order("flag /cell1/e_stop off");
     bridge.wait("armed again", armed);
 
-    // The router is stopped. The program halts at once nevertheless, and sends the halt as soon as it can.
+    // The router is suspended. The program halts at once nevertheless, and sends the halt as soon as it can.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     robot.catch_up();
@@ -284,7 +287,7 @@ impl Pair {
     }
 }
 
-/// Number of messages that all pairs sent, and number that arrived.
+/// Number of messages that all pairs sent, and number of messages that arrived.
 #[derive(Default)]
 struct Sums {
     /// Speed messages.
@@ -356,7 +359,7 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
     let name = "twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_acted_on";
     let Some(site) = site_in("zenoh", name, true).filter(|site| site.has_own_network) else { return };
     let (pairs, seconds) = (number_of("BIMANUAL_PAIRS", 20), number_of("BIMANUAL_PAIRS_S", 60));
-    // Number of pairs that have an arm with goals, and an operator who stops it during each stall.
+    // Number of pairs that have an arm with goals. Their operators stop the arm during each stall.
     let arms = number_of("BIMANUAL_ARMS", 3).min(pairs);
     let desk = desk("zenoh-2");
     let write = |name: &str, text: &str| {
@@ -364,7 +367,8 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         std::fs::write(&path, text).unwrap();
         path
     };
-    // Checks what docs/zenoh says about stalled links. It runs without TLS, which the session's test already covers.
+    // Checks the statements of docs/zenoh about stalled links.
+    // TLS is not used, because the session's test covers it.
     let rest = "scouting: { multicast: { enabled: false } }, transport: { link: { tx: { lease: 60000, queue: { \
                 congestion_control: { block: { wait_before_close: 60000000 } } } } } }";
     let listens = format!("{{ mode: 'router', listen: {{ endpoints: ['tcp/127.0.0.1:7447'] }}, {rest} }}");
@@ -407,7 +411,8 @@ fn twenty_pairs_share_a_router_through_stalls_and_losses_and_nothing_stale_is_ac
         all.iter().filter(|pair| pair.has_arm()).for_each(|pair| pair.left.hold(pose));
     };
     all.iter().for_each(|pair| pair.left.hold(FORWARD));
-    // TCP is blocked for 200 ms every 5 s. In the middle, a fifth of all packets is lost for 10 s.
+    // TCP is blocked for 200 ms every 5 s.
+    // In the middle of the test, a fifth of all packets is lost for 10 s.
     let loses = "INPUT -i lo -p tcp -m statistic --mode random --probability 0.2 -j DROP";
     let (mut stalls, mut is_lossy, mut was_lossy) = (0, false, false);
     while start.elapsed().as_secs() < seconds {

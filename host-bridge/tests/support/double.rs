@@ -1,4 +1,5 @@
-//! Simulated boards on a desk. They run the boards' own code with recordings, and tests can unplug and restart them.
+//! Simulated boards on a desk. They run the boards' own code with recordings.
+//! Tests can unplug and restart the boards.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -94,6 +95,11 @@ impl Double {
     pub fn hold(&self, counts: [u16; 5]) {
         self.0.with(|machine| machine.hand.hold(counts));
     }
+
+    /// The right hand continues its recording from here.
+    pub fn jump(&self, to_s: f64) {
+        self.0.with(|machine| machine.hand.jump(to_s, machine.now_ms - machine.started_ms));
+    }
 }
 
 /// The differences between left and right boards.
@@ -105,6 +111,7 @@ trait Hand {
     /// Processes a byte from the laptop. Returns how many milliseconds the board is busy before it replies.
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
+    fn jump(&mut self, _to_s: f64, _now_ms: u64) {}
 }
 
 struct Machine {
@@ -112,7 +119,7 @@ struct Machine {
     decoder: Decoder<HOST_FRAME_MAX>,
     asked: Mode,
     boot_id: u32,
-    /// Time since power-on, and time of the last start.
+    /// Time since power-on, and the time of the last start.
     now_ms: u64,
     started_ms: u64,
     has_battery: bool,
@@ -284,6 +291,12 @@ impl Hand for Right {
         let number = (now_ms / PERIOD_MS) as usize;
         let counts = self.samples[(self.start + number) % self.samples.len()];
         self.board.sample(&counts, now_ms, wire);
+    }
+
+    fn jump(&mut self, to_s: f64, now_ms: u64) {
+        let (number, to) = ((now_ms / PERIOD_MS) as usize, (to_s * 100.0) as usize);
+        let length = self.samples.len();
+        self.start = (to + length - number % length) % length;
     }
 
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {

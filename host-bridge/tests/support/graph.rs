@@ -1,8 +1,8 @@
 //! A robot on the ROS 2 graph for tests: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS).
-//! The robot and the program under test share a network of their own.
+//! The robot and the program under test share their own network.
 //!
-//! DDS and the robot use wall-clock time, and delays are measured in it.
-//! Boards and program share a time that is never faster than the wall clock and is slower on a busy machine.
+//! DDS and the robot use wall-clock time, and delays are measured in wall-clock time.
+//! Boards and program share a time that is never faster than the wall clock. It is slower on a busy machine.
 //! Tests therefore wait for events, and judge delays only on a quiet machine.
 //!
 //! A test that includes this module must define `host_bridge()`, the program's path, and the modules of `desk`.
@@ -335,7 +335,8 @@ pub const DECISION_MS: f64 = 10.0;
 pub struct Site {
     /// The Python interpreter with the robot's packages.
     pub python: String,
-    /// Whether the test has its own network, in which it can drop datagrams. Otherwise it uses the machine's loopback.
+    /// Whether the test has its own network, in which it can drop datagrams.
+    /// Otherwise, it uses the machine's loopback interface.
     pub has_own_network: bool,
     /// A lock that makes other tests wait while this test runs.
     _alone: Option<MutexGuard<'static, ()>>,
@@ -343,8 +344,8 @@ pub struct Site {
 
 /// Returns the environment for the test with this name (in a module `live::ros2`).
 /// If permitted, the test restarts itself in a new network namespace.
-/// Returns `None` if it has passed there or cannot run at all.
-/// Tests that measure times run one after another in a namespace, and all tests do on loopback.
+/// Returns `None` if the test has passed there, or cannot run at all.
+/// Tests that measure times run one after another in a namespace. On loopback, all tests do so.
 pub fn site(test: &str, measures: bool) -> Option<Site> {
     site_in("ros2", test, measures)
 }

@@ -1,4 +1,4 @@
-//! Determines whether times measured with the wall clock can be judged.
+//! Determines whether times measured with the wall clock are meaningful.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ pub struct Lateness(Arc<Mutex<Seen>>);
 
 #[derive(Clone, Default)]
 struct Seen {
-    /// Delays with which this machine woke a sleeping thread up.
+    /// Delays with which this machine woke a sleeping thread.
     late_ms: Vec<f64>,
     /// Share of all processors used at normal priority, in each tenth of a second.
     taken: Vec<f64>,
@@ -52,7 +52,8 @@ impl Lateness {
     }
 
     /// Returns whether times measured since the start can be judged in a test that itself loads the processors.
-    /// In nine of ten cases, a sleep must have ended within 2 ms, and other programs must have left half of the processors.
+    /// Nine of ten sleeps must have ended within 2 ms,
+    /// and other programs must have left half of the processors.
     pub fn had_room(&self) -> bool {
         at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
     }
@@ -69,7 +70,8 @@ impl Lateness {
     /// Returns whether times measured since the start can be judged.
     /// Nine of ten sleeps must have ended within 2 ms.
     /// In 90 % of the intervals of 0.1 s, work at normal priority must have left some processor time.
-    /// The second condition is necessary because a mostly idle thread is woken in time even on a fully loaded machine.
+    /// The second condition is necessary,
+    /// because a mostly idle thread wakes in time even on a fully loaded machine.
     pub fn was_quiet(&self) -> bool {
         at_most(0.9, self.seen().taken, "work of ordinary priority takes") && self.woke_in_time()
     }
@@ -111,7 +113,7 @@ impl Ticks {
         let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();
         // The fields are user, nice, system, idle, iowait, irq, softirq and steal.
         // Nice, idle and waiting time would have been available to this test.
-        // Steal is time used by another virtual machine, so it would not have been available.
+        // Steal is the time that another virtual machine used. It would not have been available.
         let [user, _nice, system, _idle, _iowait, irq, softirq, steal] = *ticks.first_chunk()?;
         let ordinary = user + system + irq + softirq + steal;
         Some(Self { ordinary, ours: of_our_group(), all: ticks[..8].iter().sum() })
@@ -121,7 +123,8 @@ impl Ticks {
 /// Returns the ticks of all processes in this test's process group, including those that have ended.
 fn of_our_group() -> f64 {
     // The program's name may contain any character.
-    // The fields after the name are: state, parent, group, ..., utime (12th), stime, and both times of ended children.
+    // The fields after the name are:
+    // state, parent, group, ..., utime (12th), stime, and the times of ended children.
     let fields = |process: &str| -> Vec<f64> {
         let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
         let numbers = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(1);

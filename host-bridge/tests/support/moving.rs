@@ -63,7 +63,7 @@ impl Virtual for Robot {
     }
 }
 
-/// Creates an engine as `run` does, with the simulator and these hands.
+/// Creates an engine with the simulator and these hands, as `run` does.
 pub fn live(config: &Config, left: HandInput, right: HandInput) -> Engine<'static, Robot> {
     live_before(bare(), config, left, right, 0)
 }

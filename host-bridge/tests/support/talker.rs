@@ -1,7 +1,7 @@
 //! A simulated left board whose delays, silence and floods a test controls.
 //! Each message is valid by itself, and the test sets its content.
-//! The board uses wall-clock time, because the operating system's behaviour matters for programs that are stopped,
-//! flooded or without a reader.
+//! The board uses wall-clock time, because the tests depend on the operating system's behaviour.
+//! The tests cover programs that are stopped, flooded or without a reader.
 
 use std::collections::VecDeque;
 use std::fs::File;

@@ -13,9 +13,9 @@ use models::train::Adaptable;
 pub struct Cmd {
     /// The int8 .tflite file, with its card, .float.tflite and .memory.bin in the same folder
     model: PathBuf,
-    /// Folder with <label>/<person>__<n>.csv
+    /// Folder with files named <label>/<person>__<n>.csv
     folder: PathBuf,
-    /// Person whose recordings are used
+    /// Person to whom the model is adapted, with this person's recordings
     #[arg(long)]
     person: String,
     /// Folder for the new model

@@ -27,9 +27,9 @@ pub struct Cmd {
 enum Verb {
     /// Write the feature vectors that every model learns
     Vectors {
-        /// Folder with other/<person>__<n>.csv, accelerometer and gyroscope
+        /// Folder with files named other/<person>__<n>.csv, accelerometer and gyroscope
         folder: PathBuf,
-        /// The file
+        /// The file to write
         #[arg(long)]
         out: PathBuf,
     },
@@ -39,7 +39,7 @@ enum Verb {
 /// Count events in daily movement: train with half of its people, test with the other half, and vice versa
 #[derive(Args)]
 struct Events {
-    /// Folder with other/<person>__<n>.csv of at least two people who make no gesture
+    /// Folder with files named other/<person>__<n>.csv of at least two people who make no gesture
     daily: PathBuf,
     /// Folders to train separate models on; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]

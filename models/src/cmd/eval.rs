@@ -13,7 +13,7 @@ use shared_dsp::right::network::Model;
 pub struct Cmd {
     /// A .tflite file, float or int8, with its card in the same folder
     model: PathBuf,
-    /// Folder with <label>/<person>__<n>.csv
+    /// Folder with files named <label>/<person>__<n>.csv
     folder: PathBuf,
     /// Test only the recordings listed in this file, one <label>/<file> per line (as `train` writes it)
     #[arg(long, value_name = "FILE")]

@@ -14,27 +14,27 @@ use super::people::Set;
 /// Hold out each person in turn, play their recordings one after another and count the gesture events
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Number of models per person, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
-    /// How to train
+    /// Recipe for the training
     #[arg(long, value_enum, default_value = "aligned")]
     recipe: RecipeName,
     #[command(flatten)]
     axes: super::Axes,
-    /// Hours of simulated wearers who make no gesture, per folder
+    /// Number of hours, per folder, in which simulated wearers make no gesture
     #[arg(long, default_value_t = 1.0)]
     hours: f64,
     /// Also print the results for other thresholds: maximum probability of rest, in 256ths
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     max_rest: Vec<u8>,
-    /// Rest between two recordings in s [default: 1.4 to 2.5]
+    /// Seconds of rest between two recordings [default: 1.4 to 2.5]
     #[arg(long, value_name = "SECONDS")]
     apart: Option<f64>,
-    /// Name each recording that was not understood and what came instead
+    /// Print the name of each recording that was not understood, and the events that came instead
     #[arg(long)]
     errors: bool,
     #[command(flatten)]

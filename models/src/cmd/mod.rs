@@ -79,12 +79,12 @@ impl Axes {
 /// The recordings, and the options for training.
 #[derive(Args)]
 pub struct Source {
-    /// Folder with <label>/<person>__<n>.csv
+    /// Folder with files named <label>/<person>__<n>.csv
     pub folder: PathBuf,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// How to train
+    /// Recipe for the training
     #[arg(long, value_enum, default_value = "aligned")]
     recipe: RecipeName,
     #[command(flatten)]

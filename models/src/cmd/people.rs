@@ -16,7 +16,7 @@ use super::RecipeName;
 /// Hold out each person in turn and test models trained without this person
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Number of models per row, with the seeds 1, 2, ...

@@ -21,7 +21,7 @@ pub struct Cmd {
     /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(value_name = "FOLDER[:LABEL,...]")]
     set: Set,
-    /// Where to write it
+    /// The HTML file to write
     #[arg(long, default_value = "report.html")]
     out: PathBuf,
     /// Number of models per figure, with the seeds 1, 2, ...
@@ -35,7 +35,7 @@ pub struct Cmd {
     /// Adapt models to each person with this many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
-    /// Hours of simulated wearers who make no gesture
+    /// Number of hours in which simulated wearers make no gesture
     #[arg(long, default_value_t = 1.0)]
     hours: f64,
     #[command(flatten)]

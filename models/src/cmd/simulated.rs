@@ -12,13 +12,13 @@ use super::people::Set;
 /// Train on simulated wearers only and test on real recordings whose labels the simulator supports
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Number of models per row, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
-    /// How to train
+    /// Recipe for the training
     #[arg(long, value_enum, default_value = "aligned")]
     recipe: RecipeName,
     /// Labels of the models: LABEL,LABEL,... [default: the four of real recordings, then the paper's seven]

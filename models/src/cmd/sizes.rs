@@ -15,10 +15,10 @@ use super::people::Set;
 /// Hold out each person in turn, with networks of several sizes: flash, work and accuracy of each
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Models per person, with the seeds 1, 2, ...
+    /// Number of models per person, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// How many networks of 20 and 10 units are merged into one (a board's: 4)

@@ -12,7 +12,7 @@ pub struct Cmd {
     /// Number of splits; split k has the seed SEED + k − 1
     #[arg(long, default_value_t = 5)]
     splits: u64,
-    /// Fraction of the recordings for the test
+    /// Fraction of the recordings that is held out for the test
     #[arg(long, default_value_t = 0.2)]
     test: f64,
 }

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 /// Which wearers.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum GroupName {
-    /// For training
+    /// Wearers for training
     Training,
-    /// For tests: never one of the training wearers
+    /// Wearers for tests, who are never wearers for training
     Evaluation,
 }
 
@@ -31,7 +31,7 @@ pub struct Cmd {
     /// Duration of each gesture per wearer in seconds
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
-    /// Which wearers
+    /// Whether the wearers are for training or for tests
     #[arg(long, value_enum, default_value = "training")]
     group: GroupName,
     /// Number of wearers (the last ones) without instructions: slower and faster, with circles in any plane

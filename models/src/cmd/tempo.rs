@@ -14,7 +14,7 @@ use super::people::Set;
 /// Hold out each person in turn and play their gestures slower and faster, with the matching forces
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with files named <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Number of models per person, with the seeds 1, 2, ...
@@ -100,7 +100,7 @@ impl Cmd {
 /// Returns the gestures of a data set at another tempo, omitting tempos that hands do not have.
 fn at(all: &Dataset, factor: f64, range: f64) -> Dataset {
     let gestures = all.filtered(|item| !is_rest(&item.label));
-    // The strongest movements of `other` reach the limits of the sensor.
+    // Movements labelled `other` are left out: the strongest of them saturate the sensor.
     let items = gestures.items.par_iter().filter_map(|item| {
         let hz = strokes_per_second(&item.recording)?;
         STROKES_HZ.contains(&(hz * factor)).then(|| {

@@ -10,7 +10,7 @@ use models::train::{Job, held_out, train};
 pub struct Cmd {
     #[command(flatten)]
     source: super::Source,
-    /// Folder for the model
+    /// Folder in which the model is written
     #[arg(long)]
     out: PathBuf,
     /// Name of the model's files

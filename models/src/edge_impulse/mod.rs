@@ -20,7 +20,7 @@ use crate::sheet::{self, Reading};
 pub struct Imported {
     /// The samples in m/s², deg/s and µT.
     pub recording: Recording,
-    /// Name of the device in the file, if there is one.
+    /// Name of the device in the file, if the file contains a name.
     pub device: Option<String>,
     /// Descriptions of everything that was inferred or omitted.
     pub notes: Vec<String>,

@@ -1,7 +1,8 @@
 //! Evaluates events. Joins one person's recordings, plays them to a board's right hand, and compares events with labels.
 //!
 //! The hand rests between two recordings, with the noise of a held hand.
-//! It first holds the final posture of one recording, then turns smoothly to the initial posture of the next and holds that.
+//! The hand first holds the final posture of a recording.
+//! Then it turns smoothly to the initial posture of the next recording and holds that posture.
 //! A recording counts as one performed gesture, however often it repeats the shape. Its first sample counts as the onset.
 //! People actually begin a little later, so delays are overestimated.
 
@@ -37,7 +38,8 @@ impl Pause {
     /// 1.4 to 2.5 s.
     pub const USUAL: Self = Self { before_s: (0.3, 0.8), turn_s: 0.4, after_s: (0.7, 1.3) };
 
-    /// Length of the rest in s. For up to 0.4 s of it the hand turns, and before and after it is still for equal times.
+    /// Creates a rest of this length in s. The hand turns for up to 0.4 s of it.
+    /// Before and after the turn, the hand is still for equal times.
     pub fn of(seconds: f64) -> Self {
         let turn_s = 0.4f64.min(0.6 * seconds);
         let still_s = 0.5 * (seconds - turn_s);
@@ -49,10 +51,11 @@ fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
     if low < high { rng.random_range(low..high) } else { low }
 }
 
-/// For this long after its end, a recording can still have an event, because a decision may wait for the hand to rest.
+/// A recording can cause an event for this long after its end,
+/// because a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
-/// The position of a recording in a joined one: samples from `start` up to `end`, exclusive.
+/// The position of a recording in a joined recording. The sample with index `end` is not included.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Annotation {
     /// First sample.
@@ -148,19 +151,19 @@ impl AnnotatedRecording {
         posture(&rows[rows.len().saturating_sub(POSTURE)..])
     }
 
-    /// Appends a rest, in which the hand turns from its current posture to the given one.
+    /// Appends a rest, in which the hand turns from its current posture to the posture `next`.
     fn rest_until(&mut self, next: &[f64], pause: Pause, rng: &mut ChaCha8Rng) {
         let turn_s = pause.turn_s;
         let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
         let before = between(pause.before_s, rng);
         let seconds = before + turn_s + between(pause.after_s, rng);
-        // Noise of a held hand, which is between that of a table and that of a tense arm.
+        // The noise of a held hand is between the noise of a table and the noise of a tense arm.
         let quiet: f64 = rng.random_range(-1.5f64..0.7).exp();
         let turn = turn_rate_deg(&last, next);
         for n in 0..(seconds * RATE_HZ) as usize {
             let part = ((n as f64 / RATE_HZ - before) / turn_s).clamp(0.0, 1.0);
             let moved = part * part * part * (10.0 + part * (6.0 * part - 15.0));
-            // Change of the noise above per second.
+            // Speed of the turn: the change of `moved` per second.
             let pace = 30.0 * (part * (1.0 - part)).powi(2) / turn_s;
             for axis in 0..self.axes {
                 let noise: f64 = StandardNormal.sample(rng);
@@ -308,7 +311,7 @@ impl Tally {
 /// Plays a recording as a board would, and returns its events as (sample, label).
 ///
 /// # Errors
-/// The model needs samples of another kind.
+/// Fails if the model needs samples of another kind.
 pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
@@ -329,7 +332,7 @@ pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usi
     }
 }
 
-/// What a model of recipe `aligned` computes for a hop, before any decision.
+/// The outputs of a model of recipe `aligned` for one hop, before any decision.
 #[derive(Clone, Debug)]
 pub struct Heard {
     /// The hop's last sample.
@@ -342,7 +345,7 @@ pub struct Heard {
 /// Returns all outputs of a model of recipe `aligned` for a recording, so that callers can compare several decisions.
 ///
 /// # Errors
-/// The model needs samples of another kind.
+/// Fails if the model needs samples of another kind.
 pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();
@@ -352,7 +355,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
         let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());
         let classify = |features: &[f32]| {
             let mut scores = [i8::MIN; MAX_LABELS];
-            // The number of features equals that of the model.
+            // The number of features equals the number that the model reads.
             let _ = model.classify_features(features, &mut scores[..info.label_count]);
             scores
         };

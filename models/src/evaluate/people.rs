@@ -144,7 +144,8 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Reads recordings for learning and for joining. Whatever labels are tested, it includes recordings without gestures.
+    /// Reads recordings for learning and for joining.
+    /// Recordings without gestures are included, whatever labels are tested.
     fn read_with_rest(
         &self,
         axes: Option<usize>,
@@ -172,12 +173,13 @@ impl Trial<'_> {
         self.grade_of(&self.without(person, seed)?, person)
     }
 
-    /// How a model classifies all recordings of `person`.
+    /// Tests a model on all recordings of `person`.
     pub fn grade_of(&self, model: &Trained, person: &str) -> Result<Graded, TrialError> {
         self.grade(model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Events that a model and a board's thresholds detect in all recordings of `person`, joined into one.
+    /// Counts the events that a model and a board's thresholds detect in all recordings of `person`.
+    /// The recordings are joined to a single recording.
     pub fn events_of(
         &self,
         model: &Trained,
@@ -203,7 +205,8 @@ impl Trial<'_> {
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
-    /// Trains a model on a fraction `share` of the other people's recordings, and tests it on those of `person`.
+    /// Trains a model on a fraction `share` of the other people's recordings.
+    /// Tests this model on the recordings of `person`.
     /// For each label, the seed determines which recordings are used.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
@@ -211,9 +214,10 @@ impl Trial<'_> {
         self.grade_of(&train(&others, &dropped, self.recipe, &Self::job(seed))?, person)
     }
 
-    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`].
-    /// It plays all recordings of `person`, including those without a gesture, joined with this pause.
-    /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
+    /// Counts the events of a model that has learned nothing from `person`.
+    /// There is one result for each [`MovementConfig::max_rest`].
+    /// The model hears all recordings of `person`, including those without a gesture, joined with this pause.
+    /// The model also hears simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(
         &self,
         person: &str,
@@ -258,7 +262,7 @@ impl Trial<'_> {
     }
 
     /// Trains a model on 80 % of the other people's recordings.
-    /// It then adapts the model with `counts` examples per class of `person`.
+    /// The model is then adapted with `counts` examples per class of `person`.
     /// Each example lasts 2 s and is from a different recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
@@ -317,7 +321,7 @@ pub fn from_simulated(
 }
 
 /// Simulates wearers and returns their recordings as a data set without files.
-/// These wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
+/// The wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
     // Start and length in samples of two short recordings, which are taken from each gesture.

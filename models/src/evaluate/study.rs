@@ -1,5 +1,6 @@
 //! A complete comparison on one folder for several seeds.
-//! It holds out each person, then a random 20 % of the recordings, and it also tests a few shown examples.
+//! The study holds out each person, and then a random 20 % of the recordings.
+//! It also tests models that have been shown a few examples.
 //! `models people` prints its results, and `models report` draws the same figures.
 
 use std::collections::BTreeMap;
@@ -17,7 +18,7 @@ pub struct Study {
     pub recipe: &'static str,
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Results by person and seed. Each result is that of a model trained without that person.
+    /// Results by person and seed. Each result is for a model that was trained without that person.
     pub strangers: Vec<Vec<Graded>>,
     /// Results for a random 20 % of the same people's recordings, by seed.
     pub random: Vec<Graded>,
@@ -35,7 +36,9 @@ pub struct Row {
 }
 
 impl Study {
-    /// Runs the comparison with the seeds 1 to `seeds`. If the recipe can adapt, it also tests `counts` examples, and 0.
+    /// Runs the comparison with the seeds 1 to `seeds`.
+    /// A recipe that can adapt is also tested after each number of examples in `counts`,
+    /// and without examples.
     /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,
@@ -170,8 +173,9 @@ pub struct Events {
 }
 
 impl Events {
-    /// Plays every person's recordings with models trained without them, for the seeds 1 to `seeds`.
-    /// It also plays `aimless_s` seconds of simulated wearers, divided among the models of the first seed.
+    /// Plays every person's recordings with models that were trained without this person.
+    /// The models have the seeds 1 to `seeds`.
+    /// The models of the first seed also share `aimless_s` seconds of simulated wearers.
     pub fn run(
         trial: &Trial<'_>,
         people: &[String],

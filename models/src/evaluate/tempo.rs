@@ -118,7 +118,8 @@ pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Generates a sway along x with this frequency in Hz and amplitude in m/s². Gravity is along z, and the rotation is about z.
+    /// Generates a sway along x with this frequency in Hz and amplitude in m/s².
+    /// Gravity is along z, and the rotation is about z.
     fn sway(hz: f64, size: f64) -> Recording {
         let angle = |n: usize| std::f64::consts::TAU * hz * n as f64 / RATE_HZ;
         let row =

@@ -35,7 +35,8 @@ pub struct PersonFacts {
     /// Maximum acceleration along any axis in m/s².
     pub largest: f64,
     /// Tempo of the gestures in strokes per second.
-    /// 10 % of them are slower than the first figure, half are slower than the second, and 90 % are slower than the third.
+    /// Of all gestures, 10 % are slower than the first figure, and half are slower than the second figure.
+    /// Of all gestures, 90 % are slower than the third figure.
     pub strokes_hz: Option<[f64; 3]>,
     /// Share of the accelerometer's values within 0.1 % of the maximum, which is far above 0 if the sensor clips.
     pub at_largest: f64,

@@ -24,7 +24,7 @@ impl NetworkSize {
     /// Of a trained model.
     ///
     /// # Errors
-    /// If the weights cannot be converted to a blob.
+    /// Fails if the weights cannot be converted to a blob.
     pub fn of(model: &Trained) -> Result<Self, TrainError> {
         let outputs = model.float.iter().map(|layer| layer.biases.len());
         let widths = std::iter::once(model.card.scaling.mean.len()).chain(outputs).collect();

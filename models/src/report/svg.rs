@@ -43,7 +43,8 @@ impl Percentages {
     }
 }
 
-/// Draws a line chart. `x_ticks` and `y_ticks` are positions in 0..=1 and their texts; `diagonal` adds the line y = x.
+/// Draws a line chart. `x_ticks` and `y_ticks` contain positions in 0..=1 and their texts.
+/// `diagonal` adds the line y = x.
 pub fn lines(
     (x_name, y_name): (&str, &str),
     x_ticks: &[(f64, String)],

@@ -75,7 +75,8 @@ pub(super) fn unit(times: &[f64]) -> Option<(&'static str, f64)> {
     UNITS.into_iter().find(|(_, ms)| usable.contains(&(interval * ms)))
 }
 
-/// Returns the mean interval without the longest one, so that neither a gap nor equal time stamps distort the mean.
+/// Returns the mean of all intervals except the longest.
+/// Neither a gap nor equal time stamps therefore distort the mean.
 pub(super) fn typical_interval(times: &[f64]) -> Option<f64> {
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
     steps.sort_unstable_by(f64::total_cmp);
@@ -95,7 +96,7 @@ pub(super) fn spread(times: &mut [f64]) -> usize {
         let stamp = times[from];
         let run = times[from..].iter().take_while(|time| **time == stamp).count();
         if run > 1 {
-            // If no other time stamp follows, or only after a gap, the samples get the normal interval.
+            // The samples get the normal interval if no other time stamp follows, or if a gap is before it.
             let room = times.get(from + run).map_or(f64::INFINITY, |next| next - stamp);
             let even = room / run as f64;
             let step = if even <= 1.5 * interval { even } else { interval };

@@ -113,7 +113,7 @@ pub enum RecordingError {
         /// The expected content.
         wanted: Cow<'static, str>,
     },
-    /// The time of a row is not later than that of the previous row.
+    /// The time of a row is not later than the time of the previous row.
     #[error(
         "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
          times must rise: sort the rows, or split the file where a second recording starts"

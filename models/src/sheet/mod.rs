@@ -8,7 +8,7 @@
 //! Columns are found by their names in any order, with any separator and decimal sign.
 //! Anything that neither a name nor [`Reading`] declares is inferred.
 //! The resulting rate determines the unit of times. Gravity and rotation determine the units of samples (`right/judge.rs`).
-//! An inference is either printed (import, [`Reading::guess`]) or put to the user as a question in an error.
+//! An inference is either printed (import, [`Reading::guess`]), or an error asks the user about it.
 
 mod clock;
 mod error;
@@ -59,7 +59,7 @@ impl Units {
     /// Nothing is declared.
     pub const NONE: Units = Units([None; 3]);
 
-    /// Returns the factor of a sensor, if the user declared one.
+    /// Returns the factor of a sensor, if the user declared a factor.
     pub fn of(&self, sensor: Sensor) -> Option<f64> {
         self.0[sensor as usize]
     }
@@ -75,7 +75,7 @@ impl FromStr for Units {
             let counts =
                 part.split_once('/').and_then(|(n, unit)| Some((n.trim().parse::<f64>().ok()?, unit)));
             let (per_unit, unit) = counts.unwrap_or((1.0, part));
-            // `gs` contains both gauss and g; the acceleration has priority.
+            // `gs` is a spelling of both gauss and g, and the acceleration has priority.
             let found = SENSORS.into_iter().find_map(|sensor| Some((sensor, names::factor(sensor, unit)?)));
             let Some((sensor, factor)) = found.filter(|_| per_unit.is_finite() && per_unit > 0.0) else {
                 return Err(format!(
@@ -110,7 +110,7 @@ pub struct Reading {
     /// Names for columns.
     pub columns: Option<Columns>,
     /// Whether the reader accepts inferences and reports them in the notes.
-    /// Otherwise, it accepts only declared properties, and any doubt is an error.
+    /// Otherwise, the reader accepts only declared properties, and any doubt is an error.
     pub guess: bool,
 }
 
@@ -127,7 +127,7 @@ pub struct Sheet {
 /// `file` is used in errors, and its name identifies the sensor of columns x, y, z.
 ///
 /// # Errors
-/// [`RecordingError`] with the place and a remedy.
+/// Returns a [`RecordingError`] that contains the place and a remedy.
 pub fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Sheet, RecordingError> {
     right::parse(file, bytes, reading)?.judged(file, reading)
 }

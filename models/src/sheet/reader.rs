@@ -1,6 +1,6 @@
 //! The reader of all CSV files. It converts the bytes of a file to rows of numbers, for either hand.
 //!
-//! Each [`Format`] has a table ([`ColumnTable`]) of the columns to be read and of how their cells are written.
+//! Each [`Format`] has a [`ColumnTable`], which lists the columns to be read and the form of their cells.
 //! All formats share the code for separators, decimal commas, comments, units, repeated headers and errors.
 
 use std::path::Path;
@@ -40,7 +40,7 @@ pub(super) trait Format {
     /// Returns the columns with these names, or `None` if this is not a header of such a file.
     ///
     /// # Errors
-    /// The row is a header that cannot be used.
+    /// Fails if the row is a header that cannot be used.
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, Self::Layout)>, Problem>;
 
     /// Describes the missing header; `numbers` is true if the file begins with numbers instead.
@@ -120,7 +120,7 @@ impl<'t, F: Format> Rows<'t, F> {
     /// Finds the header.
     ///
     /// # Errors
-    /// [`RecordingError`] as for [`Self::next_row`].
+    /// Returns a [`RecordingError`] in the same cases as [`Self::next_row`].
     pub fn of(file: &'t Path, text: &'t Text<'_>, format: &'t F) -> Result<Self, RecordingError> {
         if text.content.trim().is_empty() {
             return Err(F::empty(file, "the file is empty"));
@@ -146,7 +146,7 @@ impl<'t, F: Format> Rows<'t, F> {
     /// Returns the next row of numbers, or `None` at the end of the file.
     ///
     /// # Errors
-    /// [`RecordingError`] with line and column, for anything that must not be skipped.
+    /// Returns a [`RecordingError`] with line and column for anything that must not be skipped.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, RecordingError> {
         while let Some((line, text)) = self.lines.next() {
             if text.trim().is_empty() {
@@ -185,7 +185,8 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(None)
     }
 
-    /// Returns whether a row is skipped. This is a repeated header, units below the header, or text if the format permits it.
+    /// Returns whether a row is skipped.
+    /// Such a row is a repeated header, units below the header, or text if the format permits it.
     fn is_skipped(&mut self, cells: &[&str]) -> bool {
         let names = &self.head.names;
         let is_number = |cell: &&str| text::number(cell).is_some_and(f64::is_finite);
@@ -270,7 +271,7 @@ impl<'t, F: Format> Rows<'t, F> {
         }
     }
 
-    /// Returns the error for a time that is not later than the previous one.
+    /// Returns the error for a time that is not later than the previous time.
     pub fn time_error(&self, line: u64, time_ms: f64, before_ms: f64) -> RecordingError {
         let column = self.time_column();
         RecordingError::Time {

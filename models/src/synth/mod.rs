@@ -8,7 +8,8 @@
 //! On one machine, the same wearer therefore gives the same bytes for any number of threads.
 //!
 //! The simulation does *not* include the decisions of real people.
-//! Its results are therefore not valid for real hands, and every place that shows such a result must state this.
+//! Results of the simulation are therefore not valid for real hands.
+//! Every place that shows such a result must state this.
 
 mod path;
 mod sensor;
@@ -54,7 +55,7 @@ impl Take {
 }
 
 /// Returns the takes of one wearer, which contain `seconds` of each gesture.
-/// They contain half as much of each kind of idle movement, which has the label `idle`.
+/// The takes contain half as much of each kind of idle movement, which has the label `idle`.
 /// Beginnings and ends of gestures (at most 0.8 s in the window) are labelled `idle` too, because they are not a gesture yet.
 /// In the recordings of a gesture, the gesture fills at least three quarters of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
@@ -185,7 +186,7 @@ mod tests {
             }
             count
         };
-        // The axis (forward, left or up) that is perpendicular to the circle.
+        // This axis (forward, left or up) is perpendicular to the circle.
         assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
         assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
     }

@@ -374,7 +374,7 @@ fn moves(
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
-        // The last move returns before the next motion starts, and a short pause follows it.
+        // The last move returns before the next motion starts, and a short pause follows this move.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
             place = BodyPose::default();
@@ -407,7 +407,8 @@ impl Periodic {
         let speed_m_s = wearer.speed_m_s * normal(rng, 0.1, 0.25).exp();
         let half_m = match shape {
             Shape::Stroke | Shape::Circle => speed_m_s / (TAU * hz),
-            // The peak speed on a side (minimum jerk) is 1.875 lengths per duration, and a turn has four sides.
+            // The peak speed on a side (minimum jerk) is 1.875 times the mean speed,
+            // and a turn has four sides.
             Shape::Rectangle => 0.5 * speed_m_s * (1.0 - wearer.corner) / (1.875 * 4.0 * hz),
         }
         .min(0.35);

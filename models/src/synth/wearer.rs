@@ -52,11 +52,11 @@ pub struct Wearer {
     pub(super) tilt_rad: [f64; 3],
     /// Rotation of the plane of circles away from the vertical plane, about y and about z.
     pub(super) circle_rad: [f64; 2],
-    /// Relative size of the movement perpendicular to the intended one.
+    /// Size of the movement perpendicular to the intended movement, relative to the intended movement.
     pub(super) slop: f64,
     /// Relative variation of size and tempo.
     pub(super) wander: f64,
-    /// Fraction of the time on a rectangle's side that the hand rests in its corner.
+    /// Fraction of the time for a rectangle's side in which the hand rests in the corner.
     pub(super) corner: f64,
     /// Ratio of height to width of shapes.
     pub(super) aspect: f64,
@@ -84,12 +84,12 @@ impl Wearer {
         Self::new(Group::Training, seed, index)
     }
 
-    /// Creates a wearer for testing models, which is never a training wearer.
+    /// Creates a wearer for testing models. This person is never a training wearer.
     pub fn evaluation(seed: u64, index: u32) -> Self {
         Self::new(Group::Evaluation, seed, index)
     }
 
-    /// Creates a wearer for the demonstration, which is never a training wearer.
+    /// Creates a wearer for the demonstration. This person is never a training wearer.
     pub fn demo(index: u32) -> Self {
         Self::new(Group::Demo, 0, index)
     }

@@ -7,8 +7,9 @@
 //! At the ends, QUANTIZE and DEQUANTIZE are supported, with inputs and outputs of int8, uint8 or float32.
 //! RESHAPE is supported between layers and before them.
 //! If a network ends in logits, our own softmax follows ([`End`]).
-//! Int8 networks give exactly the results of TFLite's reference kernels. Any other network is refused, and the error names the reason.
-//! The reader is our own. A damaged file causes an error, and never a panic or much memory use.
+//! Int8 networks give exactly the results of TFLite's reference kernels.
+//! Any other network is refused, and the error names the reason.
+//! The reader is our own. A damaged file causes an error, but never a panic or high memory use.
 
 mod flat;
 mod names;

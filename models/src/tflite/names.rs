@@ -33,7 +33,7 @@ const TYPES: [&str; 21] = [
     "FLOAT32", "FLOAT16", "INT32", "UINT8", "INT64", "STRING", "BOOL", "INT16", "COMPLEX64", "INT8", "FLOAT64", "COMPLEX128", "UINT64", "RESOURCE", "VARIANT", "UINT32", "UINT16", "INT4", "BFLOAT16", "INT2", "UINT4",
 ];
 
-/// Returns the name of an operator; `custom` is the file's name for a custom one.
+/// Returns the name of an operator; `custom` is the name that the file gives to a custom operator.
 pub(super) fn operator(number: i32, custom: &str) -> String {
     const CUSTOM: usize = 32;
     match usize::try_from(number).ok() {

@@ -5,7 +5,8 @@ use shared_dsp::right::network::DenseSpec;
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
-/// Maximum number of other operators, which are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
+/// Maximum number of other operators.
+/// The other operators are QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
 /// The output of the last operator in a file. In either case, our own softmax computes the probabilities.
@@ -33,7 +34,7 @@ struct Tensor<'a> {
 }
 
 impl Tensor<'_> {
-    /// Returns the only scale and zero point of a tensor of activations.
+    /// Returns the scale and the zero point of a tensor of activations. There must be only one of each.
     fn quantisation(&self, what: &str) -> Result<(f32, i64), TfliteError> {
         match (self.scales.as_slice(), self.zero_points.as_slice()) {
             (&[scale], &[zero]) if scale.is_finite() && scale > 0.0 => Ok((scale, zero)),
@@ -80,7 +81,8 @@ impl Tensor<'_> {
         }
     }
 
-    /// Returns the number of values of one example, which is the product of the shape's dimensions without open ones.
+    /// Returns the number of values of one example.
+    /// This number is the product of the shape's dimensions, except for open dimensions.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }
@@ -148,14 +150,15 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     for (index, operator) in operators.iter().enumerate() {
         let code_index = usize::try_from(operator.i32(0, 0)?).map_err(|_| TfliteError::Damaged)?;
         let code = codes.get(code_index).ok_or(TfliteError::Damaged)?;
-        // Old files have only the field of type byte, and new files have both fields.
+        // Old files have only the field of type byte. New files also have the field of type int32.
         let number = code.i32(3, 0)?.max(i32::from(code.i8(0, 0)?));
         let name = || -> Result<String, TfliteError> { Ok(names::operator(number, code.text(1)?)) };
         let inputs = operator.i32s(1)?;
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
-        // If the batch size is open, these operators compute the shape of a RESHAPE. It is checked at the RESHAPE.
+        // If the batch size is open, these operators compute the shape of a RESHAPE.
+        // The shape is checked at the RESHAPE.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
         if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;

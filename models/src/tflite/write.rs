@@ -35,7 +35,8 @@ struct Writer<'a> {
     operators: Vec<Finished>,
 }
 
-/// The properties of a tensor. Only quantised tensors have scales (one, or one per channel) and a zero point.
+/// The properties of a tensor.
+/// Only quantised tensors have a zero point and one or more scales (one per channel).
 struct Tensor<'a> {
     name: &'a str,
     shape: &'a [i32],

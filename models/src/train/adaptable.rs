@@ -71,10 +71,10 @@ pub enum AdaptError {
 }
 
 impl Adaptable {
-    /// Reads the files of a model. The float network and the memory must be beside it.
+    /// Reads the files of a model. The float network and the memory must be in the same folder.
     ///
     /// # Errors
-    /// [`AdaptError`] if a file is missing, damaged or unsuitable.
+    /// Returns an [`AdaptError`] if a file is missing, damaged or unsuitable.
     pub fn read(model: &Path) -> Result<Self, AdaptError> {
         let files = ModelFiles::read(model)?;
         let beside = |ending: &str| -> Result<(PathBuf, Vec<u8>), AdaptError> {
@@ -92,7 +92,7 @@ impl Adaptable {
     /// The bundled model.
     ///
     /// # Errors
-    /// [`AdaptError`] if the files that were compiled into the program do not match.
+    /// Returns an [`AdaptError`] if the files that were compiled into the program do not match.
     pub fn bundled() -> Result<Self, AdaptError> {
         let files = bundled::files()?;
         let file = Path::new("right-aligned.tflite");
@@ -125,7 +125,7 @@ impl Adaptable {
     /// Returns the model after it has learned these recordings of one person; `name` is the name of the new model.
     ///
     /// # Errors
-    /// [`AdaptError`] if the model does not know a label, or if no model can be created.
+    /// Returns an [`AdaptError`] if the model does not know a label, or if no model can be created.
     pub fn adapted(
         &self,
         recordings: &Dataset,

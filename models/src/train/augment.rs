@@ -21,7 +21,7 @@ pub struct Augmentation {
     pub tempo: f64,
     /// Effect of nearby iron: offset of the magnetometer in µT.
     pub iron_ut: f64,
-    /// Maximum rotation of the wearer relative to north in degrees, uniform.
+    /// Maximum rotation of the wearer relative to north, in degrees. The rotations are distributed uniformly.
     pub heading_deg: f64,
 }
 

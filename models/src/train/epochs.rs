@@ -1,4 +1,5 @@
-//! Trains in epochs, each of which uses every window once. Recipes use this if held-out recordings determine the end.
+//! Trains in epochs, each of which uses every window once.
+//! Recipes use this method if held-out recordings determine the end of training.
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -68,7 +69,8 @@ impl Rows {
             counts[*label] += 1;
         }
         let present = counts.iter().filter(|count| **count > 0).count().max(1);
-        // Rare labels get a larger weight. It grows only with the square root, because rare labels are also noisier.
+        // Rare labels get a larger weight.
+        // The weight grows only with the square root, because rare labels are also noisier.
         let weight =
             |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
         let width = set.first().map_or(0, |(input, _)| input.len());

@@ -1,6 +1,7 @@
 //! Trains a network in a fixed number of steps with plain loops.
 //! The networks are so small that a library would add a hundred crates and no speed.
-//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`, and a test compares both.
+//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`.
+//! A test compares the results of the two methods.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +15,8 @@ use crate::tflite::FloatLayer;
 pub struct Steps {
     /// Minimum number of steps.
     pub count: usize,
-    /// Maximum number of steps. Between both limits, the amount of data determines the number ([`Steps::following`]).
+    /// Maximum number of steps.
+    /// Below this maximum, the amount of data determines the number ([`Steps::following`]).
     pub most: usize,
     /// Windows per step.
     pub batch: usize,
@@ -28,7 +30,8 @@ pub struct Steps {
     pub decay: f64,
     /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
-    /// Number of networks that start from different weights and are merged into one. Recipe `aligned` defines their widths.
+    /// Number of networks that start from different weights and are merged into one network.
+    /// Recipe `aligned` defines their widths.
     pub members: usize,
     /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
@@ -52,7 +55,8 @@ impl Steps {
     pub const ADAPT: Self =
         Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
-    /// Returns the number of steps for these windows of recordings and their varied copies, so that each is seen sixteen times.
+    /// Returns the number of steps after which each of these windows has been seen sixteen times.
+    /// The windows are those of recordings and of their varied copies.
     /// If thirty people's windows are seen only four times each, the accuracy is three to four points lower.
     pub fn following(self, windows: usize) -> Self {
         const TIMES: usize = 16;
@@ -92,7 +96,7 @@ impl Steps {
     }
 }
 
-/// Returns the weight of each label, so that rare labels count as much as common ones.
+/// Returns the weight of each label. With these weights, rare labels count as much as common labels.
 pub(super) fn label_weights(rows: &[(Vec<f32>, usize)], labels: usize) -> Vec<f32> {
     let mut counts = vec![0usize; labels];
     rows.iter().for_each(|(_, label)| counts[*label] += 1);
@@ -104,7 +108,7 @@ const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
 
 /// Trains an existing network on rows of inputs and their labels.
-/// Rare labels count as much as common ones, and `limit` is the largest input.
+/// Rare labels count as much as common labels, and `limit` is the largest input.
 pub(super) fn refit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -180,7 +184,7 @@ struct Fitting {
     /// Weights from one input to all outputs, one input after the other.
     weights: Changing,
     biases: Changing,
-    /// The weights in the form in which they were used, which is rounded if rounding is on.
+    /// The weights as the batch used them. They are rounded if rounding is on.
     used: Vec<f32>,
     /// For each row of the batch: 1 if the gradient passes.
     passes: Vec<f32>,
@@ -218,7 +222,7 @@ impl Fitting {
         for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
             made.copy_from_slice(&self.biases.values);
             for (value, weights) in row.iter().zip(self.used.chunks_exact(self.outputs)) {
-                // Behind a ReLU, half of the values are 0.
+                // After a ReLU, half of the values are 0.
                 if *value != 0.0 {
                     made.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
                 }
@@ -235,7 +239,7 @@ impl Fitting {
     }
 
     /// Adds the gradients for a batch, given the gradient of the loss with respect to the outputs.
-    /// If requested, it also stores the gradient with respect to the batch in `to_inputs`.
+    /// If requested, the method also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
         for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {
@@ -336,7 +340,7 @@ fn run(
 }
 
 /// Scales the weights into and out of each hidden unit to the same maximum (Nagel et al., 2019).
-/// This changes no output, because a unit that is twice as large and counts half gives the same result.
+/// The scaling changes no output: a unit that is twice as large and counts half gives the same result.
 /// After that, one int8 scale per layer suits all of its units.
 pub(super) fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {

@@ -44,7 +44,7 @@ fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     }
 }
 
-/// Trains on `dataset` without the recordings named in `test`, and tests the model on those.
+/// Trains on `dataset` except for the recordings named in `test`, and tests the model on those recordings.
 pub fn train(
     dataset: &Dataset,
     test: &[String],
@@ -234,7 +234,8 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
     counts
 }
 
-/// Returns the SHA-256 over names and contents of the recordings in order. Recordings without a file count as their CSV text.
+/// Returns the SHA-256 over names and contents of the recordings in order.
+/// A recording without a file counts as its CSV text.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {

@@ -41,7 +41,7 @@ impl Memory {
     }
 
     /// Returns the bytes of `NAME.memory.bin`.
-    /// They start with `BIMANMEM` and the numbers of rows and of inputs per row (u32 little-endian).
+    /// The bytes start with `BIMANMEM` and the numbers of rows and of inputs per row (u32 little-endian).
     /// After these, each row has its label and its inputs.
     pub fn to_bytes(&self) -> Vec<u8> {
         let width = self.rows.first().map_or(0, |(row, _)| row.len());

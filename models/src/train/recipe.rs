@@ -145,7 +145,7 @@ pub enum Calibration {
 }
 
 /// Computes the mean and the divisor of each feature over the training windows.
-/// It also computes a limit, within `limits`, that 99.9 % of the inputs in `real` do not exceed.
+/// Also computes a limit, within `limits`, that 99.9 % of the inputs in `real` do not exceed.
 pub fn scaling(
     learn: &[Row<'_>],
     divisor: impl Fn(f64, f64) -> f64,

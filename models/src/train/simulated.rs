@@ -28,7 +28,8 @@ const AIMLESS: [IdleKind; 10] = [
     IdleKind::Shake,
 ];
 
-/// Returns features of windows in which `wearers` simulated people make no gesture. Every training uses the same ones.
+/// Returns features of windows in which `wearers` simulated people make no gesture.
+/// Every training uses the same windows.
 ///
 /// Recordings contain few movements without gestures, and the recordings of one person contain even fewer.
 pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
@@ -47,7 +48,8 @@ pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
 }
 
 /// Returns features of windows in which `wearers` other simulated people make gestures, and of varied copies.
-/// Every training uses the same ones. They cover the labels that the simulator supports, and contain their index.
+/// Every training uses the same windows. They cover the labels that the simulator supports.
+/// Each window has the index of its label.
 ///
 /// A few recorded people differ less from each other than the next person may differ from all of them.
 pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Shared, usize)> {

@@ -3,7 +3,8 @@
 //! The result is the average of the weights over the steps.
 //! Training needs no held-out recordings, and can start from an existing network.
 //!
-//! Several networks that start differently are merged into one, whose logits are the mean of theirs.
+//! Several networks that start differently are merged into one network.
+//! The merged network's logits are the mean of its members' logits.
 //! For unknown people, the networks make different errors. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
@@ -25,7 +26,8 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Trains a network on labelled inputs. Rare labels count as much as common ones, and `limit` is the maximum input.
+/// Trains a network on labelled inputs.
+/// Rare labels count as much as common labels, and `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -50,7 +52,8 @@ pub(super) fn fit(
     Ok(layers)
 }
 
-/// Returns one network whose logits are the mean of those of several networks. All must have the same shape.
+/// Returns one network whose logits are the mean of the logits of several networks.
+/// All networks must have the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {

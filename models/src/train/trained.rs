@@ -45,7 +45,7 @@ pub struct Trained {
     pub float_tflite: Vec<u8>,
     /// Bytes of the int8 file.
     pub int8_tflite: Vec<u8>,
-    /// The rows that `models adapt` needs about the training people; only with the recipe `aligned`.
+    /// The rows that `models adapt` needs about the training people. Only the recipe `aligned` has such rows.
     pub memory: Option<Memory>,
 }
 
@@ -69,7 +69,7 @@ impl Trained {
     /// The blob that boards and bridge run.
     ///
     /// # Errors
-    /// If the weights cannot be converted to a blob.
+    /// Fails if the weights cannot be converted to a blob.
     pub fn blob(&self) -> Result<Vec<u8>, TrainError> {
         match tflite::read(&self.int8_tflite) {
             Ok(Network::Int8(layers)) => blob::build(&self.card, &layers).map_err(TrainError::Quantise),
@@ -77,7 +77,8 @@ impl Trained {
         }
     }
 
-    /// Writes `NAME.tflite`, `NAME.float.tflite`, and `NAME.memory.bin` if there is one. The card `NAME.card.json` comes last.
+    /// Writes `NAME.tflite`, `NAME.float.tflite`, and `NAME.memory.bin` if there is one.
+    /// The card `NAME.card.json` comes last.
     pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
         let files = ["tflite", "float.tflite", "card.json"]
             .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));

@@ -1,7 +1,7 @@
 //! Varies single windows for recipe `aligned`, to simulate other hands and other orientations of the sensor.
 //!
-//! The order of the variations is: tempo, phase and evenness; size (fast movements need more force); rotation; mirroring;
-//! tremor; offset and range of the accelerometer.
+//! The order of the variations is: tempo, phase and evenness; size (fast movements need more force);
+//! rotation; mirroring; tremor; offset and range of the accelerometer.
 //! If a movement is accelerated, it is extended periodically.
 //! Idle windows are never enlarged much, so that slow and small gestures remain gestures.
 //! In half of the copies, the movement begins or ends inside the window, and the hand rests before or after it.

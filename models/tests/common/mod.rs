@@ -1,8 +1,7 @@
 //! Recordings that several tests use.
 
 /// Recordings of three people who make circles (two axes in quadrature), swing along one axis, and rest.
-/// The movements of
-/// `b` are slower and smaller.
+/// The movements of `b` are slower and smaller.
 pub fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (p, (person, pace, size)) in

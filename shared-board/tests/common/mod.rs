@@ -1,4 +1,4 @@
-//! The laptop's side of a board's line.
+//! The laptop's end of the line to a board.
 #![allow(dead_code)] // each test file uses its own part
 
 use shared_board::FrameOut;

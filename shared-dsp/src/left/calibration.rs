@@ -19,7 +19,8 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Nominal values for an ADXL335 at half the reference, and a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
+    /// Nominal values for an ADXL335 whose outputs are at half the reference when nothing accelerates it.
+    /// The flex sensor has 10 kΩ, is in series with 22 kΩ, and doubles its resistance when bent.
     ///
     /// These values suffice for a good sensor. Real parts differ by ±0.5 g and ±30 %, so calibrate.
     pub const DEFAULT: Self = Self {
@@ -167,7 +168,7 @@ const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC)
 /// A calibration as it is stored, with version, generation and checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// A counter of written records, which wraps. If both slots are valid, the newer one is used.
+    /// Counter of written records. The counter wraps. If both slots are valid, the newer record is used.
     pub generation: u8,
     /// The stored calibration.
     pub calibration: Calibration,
@@ -216,7 +217,7 @@ pub enum Stored {
     Blank,
     /// At least one slot was written, but neither is valid.
     Damaged,
-    /// There is a valid record; if both slots are valid, the newer one counts.
+    /// There is a valid record. If both slots are valid, this is the newer record.
     Good {
         /// The record.
         record: Record,

@@ -4,7 +4,7 @@
 //! A channel at a rail is a fault immediately, and impossible gravity is a fault after [`GRAVITY_MS`].
 //! If a converter repeats its readings, this is a fault after [`STUCK_MS`]. Missing readings are a fault after [`SILENT_MS`].
 //! A fault ends [`CLEAR_MS`] after its cause has disappeared.
-//! If a channel's fault returns within [`RETURN_MS`], the wire is loose or picks up mains hum.
+//! If a channel's fault returns within [`RETURN_MS`], its wire is loose or picks up mains hum.
 //! Such a fault persists until the hand is calibrated or the board restarts.
 
 use crate::left::tilt::Acceleration;
@@ -18,15 +18,16 @@ pub const STUCK_MS: u32 = 1000;
 pub const SILENT_MS: u32 = 100;
 /// A fault ends this long after its cause has disappeared.
 pub const CLEAR_MS: u32 = 200;
-/// If a channel's fault returns within this time after its end, it persists.
+/// A fault of a channel persists if it returns within this time after its end.
 pub const RETURN_MS: u32 = 10_000;
 /// Maximum change of a flex reading that the next sample may undo: 32 of 1024.
-/// No finger moves faster, but an open pin picks up mains hum at twice the sample rate.
+/// No finger moves that fast, but mains hum on an open pin does, because its period is about two samples.
 const MOST_RETURN: u16 = 32 * OVERSAMPLING;
 /// Readings of 0 to 40 and of 983 to 1023 do not come from a working sensor.
 /// The ADXL335 gives 143 to 881 at ±3.6 g, and a flex sensor of 7 to 110 kΩ over 22 kΩ gives 170 to 776.
 const RAIL: u16 = 40 * OVERSAMPLING;
-/// A hand at rest measures 1 g; a sensitivity error of 10 % and a neutral pose 10° off level give 0.7 to 1.3 g.
+/// A hand at rest measures 1 g.
+/// With a sensitivity error of 10 % and a neutral pose 10° off level, the result is between 0.7 and 1.3 g.
 const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
 /// See [`LEAST_GRAVITY`]. A moving hand may exceed this limit, but for less than 200 ms.
 const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
@@ -35,7 +36,7 @@ const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
 #[derive(Clone, Copy, Debug)]
 pub struct FaultWatch {
     last: AdcCounts,
-    /// The flex readings of the last sample but one.
+    /// The flex readings of the sample before the last one.
     flex_before: [u16; 2],
     last_change_ms: u32,
     last_sample_ms: u32,

@@ -1,10 +1,11 @@
 //! Converts the flex readings of two fingers to bend counters and a stop flag.
 //!
 //! A finger is *bent* above [`BENT_PERMILLE`] of the range from calibrated rest to calibrated bend.
-//! It is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
+//! A finger is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once: when the other finger has been straight for [`CONFIRM_MS`], or earlier at the release.
+//! A bend is counted once. It is counted when the other finger has been straight for [`CONFIRM_MS`].
+//! If the bent finger is released earlier, the bend is counted at the release.
 //! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text
@@ -48,7 +49,7 @@ impl Finger {
 
 /// Returns `part` / `whole` in thousandths, rounded down, at most 2047.
 /// The result is 0 if `whole` is 0.
-/// Both must be below 2^21.
+/// Both arguments must be below 2^21.
 ///
 /// The code uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.
 pub fn permille(part: u32, whole: u32) -> u16 {
@@ -138,9 +139,9 @@ enum Phase {
 /// The counters of bends, and the stop flag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bends {
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -362,7 +363,8 @@ mod tests {
         hand.hold(900, 0, 80);
         hand.hold(900, 900, 200);
         assert_eq!(hand.hold(0, 0, 100), (0, 0, false));
-        // The fingers close more slowly, but the second one is already moving while the first is bent.
+        // The fingers close more slowly,
+        // but the second finger is already moving while the first finger is bent.
         hand.hold(900, 0, 60);
         hand.hold(900, 350, 300);
         hand.hold(900, 900, 200);

@@ -10,7 +10,7 @@ use crate::left::calibration::CaptureStep;
 
 /// Time that the wearer has to take up a pose.
 pub const READY_MS: u32 = 3000;
-/// Number of refusals after which the calibration ends and the old one remains.
+/// Number of refusals after which the calibration ends and the old calibration remains.
 pub const REFUSALS: u8 = 5;
 
 /// What the board must do next.

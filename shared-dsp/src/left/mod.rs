@@ -40,7 +40,7 @@ impl AdcCounts {
     /// The largest reading.
     pub const MAX: u16 = 1023 * OVERSAMPLING;
 
-    /// Converts plain 10-bit conversions (x, y, z, index, middle) from a recording, and clamps larger ones.
+    /// Converts plain 10-bit conversions (x, y, z, index, middle) from a recording, and clamps larger values.
     pub fn from_ten_bit(conversions: [u16; 5]) -> Self {
         let [x, y, z, index, middle] = conversions.map(|c| c.min(1023) * OVERSAMPLING);
         Self { x, y, z, index, middle }
@@ -62,9 +62,9 @@ pub struct LeftOutput {
     /// The debounced heading: `Neutral` (halt) during a fault, `Between` during a calibration step.
     /// After a fault, a calibration step, a start or new thresholds, the hand must first be neutral before any command.
     pub heading: Heading,
-    /// Number of bends of the index finger since start, which wraps.
+    /// Number of bends of the index finger since the start. The number wraps.
     pub index_bends: u8,
-    /// Number of bends of the middle finger since start, which wraps.
+    /// Number of bends of the middle finger since the start. The number wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -167,7 +167,7 @@ impl LeftHand {
     }
 
     /// Begins a calibration step.
-    /// Until the step ends, the hand gives no motion and no bends. After that, it must be neutral.
+    /// Until the step ends, the hand gives no motion and no bends. After the step, the hand must be neutral.
     ///
     /// Returns false, and changes nothing, if another step is in progress.
     pub fn start_capture(&mut self, step: CaptureStep) -> bool {

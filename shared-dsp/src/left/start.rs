@@ -1,13 +1,14 @@
 //! Decides whether a tilt is intended, because walking or shaking a hand also tilts it.
 //!
-//! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like 15°.
+//! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like a tilt of 15°.
 //! However, only an intended tilt persists.
 //! A command therefore starts when the hand comes to rest beyond the threshold.
 //! A command also starts when the tilt is clearly beyond the threshold for longer than a swing lasts.
 //! No command starts while the hand swings to and fro.
 //!
-//! A walker's hand is pushed by ±0.35 g twice per second, which looks like up to 24° from a pose 5° off level.
-//! At its turning points, the hand stays within 1.2° for 68 ms, and its tilt never exceeds 25°.
+//! When a person walks, the hand is pushed by ±0.35 g twice per second.
+//! If the pose of the hand is 5° off level, this looks like a tilt of up to 24°.
+//! At the turning points of the swing, the hand stays within 1.2° for 68 ms. The tilt never exceeds 25°.
 //! A hand that is shaken four times per second changes direction every 125 ms.
 
 /// A hand is at rest if its tilt stays within a band of this width in milliradians: 2°.
@@ -20,9 +21,10 @@ pub const CLEAR_MRAD: u16 = 175;
 pub const CLEAR_SAMPLES: u8 = 10;
 /// Any tilt starts a command after this number of samples, unless it is decreasing: 130 ms.
 pub const HELD_SAMPLES: u8 = 14;
-/// If a tilt decreases by more than this, its direction has changed, in milliradians: 6°.
+/// A decrease of the tilt by more than this is a change of direction, in milliradians: 6°.
 pub const TURN_MRAD: u16 = 105;
-/// Two changes of direction belong to one swing if they are no further apart than this: 320 ms, half a period of 1.6 Hz.
+/// Two changes of direction belong to one swing if they are at most this far apart:
+/// 320 ms, which is half a period of 1.6 Hz.
 pub const SWING_SAMPLES: u8 = 32;
 /// This number of consecutive swings is an oscillation.
 pub const SWINGS: u8 = 2;

@@ -75,7 +75,7 @@ pub struct TiltDetector {
     candidate: Heading,
     agreed: u8,
     armed: bool,
-    /// The command that may start next, if there is one.
+    /// The command that may start next, if any command may start.
     start: Option<(Heading, Start)>,
     swings: [Swing; 2],
     turned_over: u8,
@@ -120,7 +120,8 @@ impl TiltDetector {
     }
 
     /// Processes a sample in which gravity is on the palm's side.
-    /// The first such sample counts as a jolt. From the second on, the hand is turned over and its tilts are ignored.
+    /// The first such sample counts as a jolt.
+    /// From the second such sample on, the hand counts as turned over, and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
         if samples >= DEBOUNCE_SAMPLES {
@@ -178,7 +179,7 @@ impl TiltDetector {
         let (pitch, roll) = (tilt.pitch_mrad, tilt.roll_mrad);
         let (pitch_size, roll_size) = (pitch.unsigned_abs(), roll.unsigned_abs());
         let limits = self.thresholds;
-        // A running command has an advantage of (start - end) over another one.
+        // A running command has an advantage of (start - end) over another command.
         // Two tilts of almost equal size therefore do not make the base alternate between driving and turning.
         let lead = limits.start_mrad - limits.end_mrad;
         let kept = match self.heading {
@@ -206,11 +207,11 @@ impl TiltDetector {
     }
 }
 
-/// Computes √(a² + b²), rounded down. Both have at most 15 bits, so the sum of squares fits.
+/// Computes √(a² + b²), rounded down. The two numbers have at most 15 bits, so the sum of squares fits.
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
-    // The root is computed digit by digit without a division, which the 8-bit board does not have.
+    // The root is computed digit by digit, because the 8-bit board has no division.
     let mut root: u32 = 0;
     let mut bit: u32 = 1 << 30;
     while bit != 0 {
@@ -293,8 +294,8 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // If the remaining vector is short, one unit of the rounded-down root is over a milliradian of roll.
-                    // The same is true of pitch near 90 degrees.
+                    // In a short vector, one unit of the rounded root is over a milliradian of roll.
+                    // The same holds for a pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());
                     }
@@ -350,7 +351,7 @@ mod tests {
             assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
         }
-        // If a hand has just oscillated, it must come to rest before it can start a command.
+        // A hand that has just oscillated must come to rest before it can start a command.
         assert_eq!(run(&mut d, 20.0, 0.0, 40), Heading::Between);
         assert_eq!(run(&mut d, 20.0, 0.0, 20), Heading::Forward);
         for _ in 0..20 {

@@ -2,9 +2,10 @@
 //! The features describe the motion in the hand's own frame, so they do not depend on the wearer or the sensor's orientation.
 //!
 //! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz, because gestures have 0.5 to 5 Hz).
-//! They are then rotated into a frame whose first axis is the direction of gravity.
-//! The second axis is the horizontal direction with the most rotation. Without a gyroscope, it is the one with the most acceleration.
-//! The third axis is perpendicular to both.
+//! The averages are then rotated into a frame whose first axis is the direction of gravity.
+//! The second axis is the horizontal direction with the most rotation.
+//! Without a gyroscope, the second axis is the horizontal direction with the most acceleration.
+//! The third axis is perpendicular to the first and the second axis.
 //! A change of sign of either horizontal axis does not change any feature.
 //! Left and right hands, and rotated sensors, therefore give the same numbers.
 //! The magnetometer is not used, so magnetic disturbances have no effect.
@@ -12,8 +13,9 @@
 //! A *triad* is the acceleration along three axes in g or, with a gyroscope, the rotation about them in 100 deg/s.
 //! For each triad, e are the mean squares along each axis about its mean, and E is their sum.
 //! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the amount of movement below which differences are insignificant.
-//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops with a Hann window.
-//! S is their power, Σ|X|².
+//! X stands for lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform.
+//! The transform is computed from the 25 hops with a Hann window.
+//! S is the power of these lines, Σ|X|².
 //!
 //! | features | count |
 //! |---|---|
@@ -25,14 +27,15 @@
 //! Each triad also has the feature ½·ln(tremor + floor) + 1.5.
 //! Here, tremor is the square root of the mean variance within a hop, and the floors are 0.01 g and 2 deg/s.
 //! The next features are ln(√e + f) + 1 for each triad and axis, and finally 2·(|gravity| − 1 g).
-//! An accelerometer therefore has 45 features. With a gyroscope, there are 89.
+//! An accelerometer therefore has 45 features. With a gyroscope, there are 89 features.
 //! `tests/reference/aligned_ref.py` implements the same algorithm in numpy.
 //!
-//! The code applies the rotation last, because it is linear.
-//! Products and lines are computed from the unrotated channels, and then ten lines are rotated instead of 25 hops.
+//! The rotation is linear, so the code applies it last.
+//! Products and lines are computed from the unrotated channels.
+//! Only ten lines are therefore rotated, instead of 25 hops.
 //!
-//! The mean acceleration of the window is gravity. Below 10⁻³ m/s², its direction is undefined.
-//! In this case the features are finite, and the floors make them small.
+//! The mean acceleration of the window is gravity. If it is below 10⁻³ m/s², its direction is undefined.
+//! In this case, all features remain finite, and the floors keep them small.
 //! A window without movement gives the same constants in any posture.
 
 mod tables;
@@ -103,7 +106,8 @@ impl HopTerms {
         Self { mean: first + offset, variance: squares * (1.0 / HOP as f32) }
     }
 
-    /// Returns whether all samples are certainly numbers within the limit. For each of them, x² ≤ 2·(mean² + Σ(x − mean)²).
+    /// Returns whether all samples are certainly numbers within the limit.
+    /// Each sample x satisfies x² ≤ 2·(mean² + Σ(x − mean)²).
     #[inline(always)]
     fn is_tame(&self) -> bool {
         self.mean * self.mean + HOP as f32 * self.variance <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0
@@ -126,7 +130,7 @@ fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
     replaced
 }
 
-/// How the hand moves at present, for [`crate::right::movement`].
+/// The present movement of the hand, which [`crate::right::movement`] uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
     /// Square root of the acceleration's summed variances over the last four hops, in m/s².
@@ -177,8 +181,9 @@ impl<const A: usize> AlignedWindow<A> {
     }
 
     /// Adds a sample (m/s², deg/s).
-    /// Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
-    /// NaN values are replaced with the last valid ones, and magnitudes are limited to [`SAMPLE_LIMIT`].
+    /// Returns true if a hop is complete and the window is full.
+    /// [`Self::features`] then returns new features.
+    /// NaN values are replaced with the last valid values, and magnitudes are limited to [`SAMPLE_LIMIT`].
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         for (channel, value) in self.stage.iter_mut().zip(&sample[..A.min(Self::USED)]) {
@@ -218,7 +223,7 @@ impl<const A: usize> AlignedWindow<A> {
         self.is_full()
     }
 
-    /// The [`feature_count`] features at the last complete hop; zeros until the window is full.
+    /// Returns the [`feature_count`] features at the last complete hop. They are 0 until the window is full.
     pub fn features(&self) -> &[f32] {
         &self.features[..feature_count(A)]
     }
@@ -243,7 +248,7 @@ impl<const A: usize> AlignedWindow<A> {
         *self = Self::new();
     }
 
-    /// How the hand moved in the last hops.
+    /// Returns the movement of the hand in the last hops.
     pub fn movement(&self) -> Movement {
         let count = self.hops.clamp(1, 4);
         let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
@@ -297,7 +302,8 @@ impl<const A: usize> AlignedWindow<A> {
         let acceleration = self.triad(0);
         let length = square_root(dot(acceleration.mean, acceleration.mean));
         let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // The axis with the most rotation. The mean rotation counts too, because a hand may turn in only one direction.
+        // The second axis is the horizontal direction with the most rotation.
+        // The mean rotation counts too, because a hand may turn in only one direction.
         let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
         let (cosine, sine) = match &rotation {
             Some(rotation) => principal(rotation, rotation.mean, across, along),
@@ -344,7 +350,7 @@ impl<const A: usize> AlignedWindow<A> {
         let x = series[MIDDLE];
         let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
 
-        // Even lines of the transform. No hop is 13 to 15 hops from the middle.
+        // These are the even lines of the transform. No hop is 13 to 15 hops from the middle.
         let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
         let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
         let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
@@ -360,7 +366,7 @@ impl<const A: usize> AlignedWindow<A> {
         lines[7] = (plus + e4 - q2, h1 - h3);
         lines[9] = (minus - rp - t, u - (rg - f4));
 
-        // Odd lines of the transform, from hops at odd and at even distances.
+        // These are the odd lines of the transform, from hops at odd and at even distances.
         let [_, a1, _, a3, _, a5, _, a7] = COSINES;
         let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
         let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
@@ -423,13 +429,13 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     [up, e, f]
 }
 
-/// Returns cosine and sine of the angle from `across` to the direction with the most power, in the plane of `across` and
-/// `along`.
-/// The power is about the given mean, which may be zero.
+/// Returns cosine and sine of the angle from `across` to the direction with the most power.
+/// Only directions in the plane of `across` and `along` are considered.
+/// The power is computed about the given mean, which may be zero.
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));
     let difference = (dot(across, triad.times(across)) + a * a) - (dot(along, turned) + b * b);
-    // The angle follows from tan 2θ = 2·product / difference; this half-angle formula is the one without cancellation.
+    // The angle follows from tan 2θ = 2·product / difference. This half-angle formula avoids cancellation.
     let twice = 2.0 * (dot(across, turned) + a * b);
     let length = square_root(difference * difference + twice * twice);
     if length < 1e-12 {

@@ -17,9 +17,9 @@ pub const MAX_HOPS: usize = 16;
 /// Criteria for a performed gesture. A probability p is given as 256·p.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecisionConfig {
-    /// Number of the last `of` hops, including the newest one, that must have the same gesture.
+    /// This many of the last `of` hops, including the newest one, must have the same gesture.
     pub agree: u8,
-    /// Number of last hops on which a decision is based, at most [`MAX_HOPS`].
+    /// Number of most recent hops on which a decision is based, at most [`MAX_HOPS`].
     pub of: u8,
     /// Minimum mean probability of the hops that agree.
     pub min_confidence: u8,
@@ -129,7 +129,7 @@ impl GestureDecision {
         self.resting = 0;
     }
 
-    /// Returns whether the label with this index is rest.
+    /// Returns whether the label with this index means that the hand rests.
     pub fn is_rest_label(&self, label: u8) -> bool {
         label < 16 && self.rest_labels & (1 << label) != 0
     }

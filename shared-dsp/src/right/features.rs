@@ -1,8 +1,9 @@
 //! Computes thirteen features per axis of a sliding window, once per hop.
 //!
 //! The first five features of an axis are mean, RMS, population variance, skewness m₃/m₂^1.5 and excess kurtosis m₄/m₂² − 3.
-//! The next eight are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
-//! They are averaged over the 24 full half-overlapping frames of the window (without a window function, mean included).
+//! The next eight features are the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
+//! The powers are averaged over the 24 full half-overlapping frames of the window.
+//! There is no window function, and the mean is included.
 //! The paper does not define how 200 samples are split into frames of 16 points, so this split is our choice.
 //!
 //! | case | definition |
@@ -15,7 +16,8 @@
 //! Errors relative to float64 never exceed 10⁻⁴ (10⁻⁴·max(|value|, 1) for skewness and kurtosis).
 //! Float sums are never updated by subtraction ([`crate::right::sliding`]).
 //! All moments are central ([`crate::right::moments`]).
-//! A mean near 0, where 200 samples cancel, has an error of 10⁻⁹ of the unit, even with amplitudes of hundreds.
+//! If 200 samples cancel, so that the mean is near 0, its error is 10⁻⁹ of the unit.
+//! The same error applies to amplitudes in the hundreds.
 
 use crate::right::fft::{HalfFrame, powers};
 use crate::right::moments::{Block, SlidingMoments, SlidingSum};
@@ -33,7 +35,7 @@ pub const HOP: usize = 8;
 pub const HOPS: usize = WINDOW / HOP;
 /// Number of full frames of 16 samples in a window.
 const FRAMES: usize = HOPS - 1;
-/// Variance below which a signal has no shape, which is a standard deviation of 10⁻⁸.
+/// A signal with a variance below this value has no shape. The standard deviation is then below 10⁻⁸.
 pub const VARIANCE_FLOOR: f32 = 1e-16;
 
 /// A window over samples of `A` axes.
@@ -91,11 +93,13 @@ impl<const A: usize> FeatureWindow<A> {
         }
     }
 
-    /// Adds a sample. Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
+    /// Adds a sample. Returns true if a hop is complete and the window is full.
+    /// [`Self::features`] then returns new features.
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // The samples are copied one by one, because copying the whole array would become a call.
+            // The samples are copied one by one.
+            // The compiler would turn a copy of the whole array into a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }
@@ -108,7 +112,7 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        // The moments of axis i turn at hop −i, and its powers turn half a round later.
+        // The moments' window of axis i turns at hop −i, and the powers' window turns half a round later.
         // With up to 12 axes, at most one turn therefore happens per hop.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
@@ -127,7 +131,7 @@ impl<const A: usize> FeatureWindow<A> {
         self.is_full()
     }
 
-    /// The features at the last complete hop. They are meaningless until the window is full.
+    /// Returns the features at the last complete hop. The features are meaningless until the window is full.
     pub fn features(&self) -> &[[f32; FEATURES_PER_AXIS]; A] {
         &self.features
     }
@@ -246,7 +250,7 @@ fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f3
     replaced
 }
 
-/// The root is correctly rounded on every target, so the bits are equal.
+/// Returns the square root. It is correctly rounded on every target, so all targets give the same bits.
 #[inline(always)]
 pub(crate) fn square_root(x: f32) -> f32 {
     #[cfg(cortex_m4f)]

@@ -7,7 +7,7 @@ const R: f32 = core::f32::consts::FRAC_1_SQRT_2; // cos(2π/8)
 /// Eight samples. They are stored as the first sample and the deviations of the other seven from it.
 ///
 /// For a signal such as gravity with a little tremor, the deviations are exact and small.
-/// Their sums and products therefore lose no precision to the large constant part.
+/// Sums and products of the deviations therefore lose no precision to the large constant part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfFrame {
     /// The first sample.
@@ -31,7 +31,7 @@ impl HalfFrame {
 /// Computes |X\[k\]|² for k = 0 to 7 of the frame that consists of two halves, X\[k\] = Σ x\[n\]·exp(−2πi·n·k/16).
 ///
 /// The constant part of each half affects few terms.
-/// The sum of both parts affects only X\[0\], and their difference affects only the odd bins.
+/// The sum of the two constant parts affects only X\[0\], and their difference affects only the odd bins.
 /// The code therefore adds the constants only to these bins.
 #[inline(always)]
 pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {

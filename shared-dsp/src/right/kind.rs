@@ -5,7 +5,7 @@
 
 use crate::right::network::FEATURES_PER_AXIS;
 
-/// Smallest value that recipe 2 distinguishes from zero, in the square of the unit of the axis.
+/// Smallest value that recipe 2 distinguishes from zero, in the squared unit of the axis.
 pub const LOG_FLOOR: f32 = 1e-6;
 
 /// The features that a model reads. Each kind transforms them before the affine scaling to int8.
@@ -47,7 +47,8 @@ impl FeatureKind {
         }
     }
 
-    /// Number of values at the start of a sample that a model for this number of axes reads. Recipe 3 reads no magnetometer.
+    /// A model for this number of axes reads this many values from the start of each sample.
+    /// Recipe 3 reads no magnetometer.
     pub const fn reads(self, axes: usize) -> usize {
         match self {
             Self::Aligned if axes > 6 => 6,
@@ -55,7 +56,7 @@ impl FeatureKind {
         }
     }
 
-    /// Whether a model for `model` axes can run on samples with `sample` axes.
+    /// Returns whether a model for `model` axes can run on samples with `sample` axes.
     /// The samples must have all values that the model reads, and additional values must not change its features.
     /// (In recipe 3, a gyroscope changes the features of a window.)
     pub const fn runs_on(self, model: usize, sample: usize) -> bool {

@@ -25,7 +25,7 @@ use core::fmt;
 /// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model needs other values per sample than the board has, or more values.
+    /// The model needs more values per sample than the board has, or different values.
     Axes {
         /// Axes of the model.
         model: usize,
@@ -62,15 +62,16 @@ impl core::error::Error for ModelMismatch {}
 pub struct RightOutput {
     /// Time of the window's newest sample, as given to [`RightHand::push`].
     pub window_end_ms: u32,
-    /// Whether the window is full. If it is not (at start or after a gap), the scores are from before the gap.
+    /// Whether the window is full.
+    /// After a start or a gap, the window is not full, and the scores are from before the gap.
     pub full: bool,
     /// Whether the window or the slow window contains values that replaced NaN.
     pub replaced: bool,
-    /// Number of gestures performed since start, which wraps.
+    /// Number of gestures that were performed since the start. The number wraps.
     pub events: u8,
     /// Whether this hop caused an event.
     pub is_event: bool,
-    /// Label of the last event; 255 before the first.
+    /// Label of the last event; 255 before the first event.
     pub label: u8,
     /// Confidence of the last event, 0 to 255.
     pub confidence: u8,
@@ -131,7 +132,7 @@ impl<const A: usize> Pipeline<A> {
         // `RightHand::new` has compared the lengths, so this call cannot fail. If it did, the scores would remain unchanged.
         match self {
             Self::PerAxis { window, decision } => {
-                // If the hand has more axes than the model, the model reads the first ones.
+                // If the hand has more axes than the model, the model reads only the first axes.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)

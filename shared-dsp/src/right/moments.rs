@@ -2,7 +2,7 @@
 //!
 //! Sums of powers (Σx², Σx³, Σx⁴) lose their precision in `f32` if the signal has a constant part such as gravity.
 //! Here, each block of eight samples stores its mean (as one sample plus a small offset).
-//! It also stores power sums of the deviations from that mean.
+//! The block also stores power sums of the deviations from that mean.
 //! Longer pieces store power sums about a reference, which is the mean of *some of their own blocks*.
 //! The binomial formula converts sums from one reference to another.
 //! The reference is within a few deviations of the piece's mean, so the final cancellation is limited for any signal.
@@ -260,7 +260,8 @@ mod cortex_m4f {
         fn bimanual_moments(sums: *mut Sums, blocks_end: *const Block, front_end: *mut Sums, count: usize);
     }
 
-    /// Does the same as the portable version in the same order, but with all values in registers.
+    /// Performs the same operations as the portable version in the same order.
+    /// Unlike that version, it keeps all values in registers.
     pub(super) fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
         let count = blocks.len().min(front.len());
         if count > 0 {
@@ -275,7 +276,8 @@ mod cortex_m4f {
 ///
 /// A mean can be much smaller than the signal (a gyroscope oscillates about 0), so `f32` sums are not precise enough.
 /// Each sample is split exactly into a multiple of 1/32 and a remainder.
-/// Sums of the multiples are exact, and the remainders are small. Integers store both.
+/// The sums of the multiples are exact, and the remainders are small.
+/// The multiples and remainders are integers.
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingSum<const BLOCKS: usize> {
     coarse: [i32; BLOCKS],

@@ -14,7 +14,7 @@
 //!
 //! If there are scores of a slow window ([`crate::right::slow`]), they can also cause an event in a long movement.
 //! These scores must show a gesture for long enough. A slow left-right, for example, may not fit in the normal window.
-//! People who move slowly also pause for longer, so twice as much rest is then required.
+//! People who move slowly also pause for longer, so such an event requires twice as much rest.
 //! Only the normal window can detect a change to a different gesture.
 
 use crate::right::aligned::Movement;
@@ -44,11 +44,13 @@ pub struct MovementConfig {
     pub average_hops: u8,
     /// Minimum mean probability.
     pub min_confidence: u8,
-    /// Maximum mean probability of all rest labels together, since "a gesture" is certain earlier than which gesture.
+    /// Maximum mean probability of all rest labels together.
+    /// It is often certain that the hand makes a gesture before it is certain which gesture it makes.
     pub max_rest: u8,
     /// A movement is long if it has had no event after this many hops.
     pub late_hops: u8,
-    /// In a long movement, a gesture must persist for this number of consecutive hops. After an event, so must a different one.
+    /// In a long movement, a gesture must persist for this number of consecutive hops.
+    /// After an event, the same applies to a different gesture.
     pub change_hops: u8,
     /// Minimum mean probability in each of these `change_hops` hops.
     pub change_confidence: u8,

@@ -2,7 +2,7 @@
 //!
 //! Eight sums at a time fill half of the Cortex-M4F's floating-point registers.
 //! The assembly moves them as blocks, which takes a third of the instructions that a compiler generates.
-//! Both loops therefore also exist in assembly, which adds in the same order.
+//! The two loops therefore also exist in assembly, which adds in the same order.
 
 use crate::right::sliding::RingPlace;
 

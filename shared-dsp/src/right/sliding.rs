@@ -24,7 +24,7 @@ impl<const N: usize> RingPlace<N> {
     /// Before the step, `in_back` pieces are in the back.
     /// If `in_back` is 0, the window turns: all pieces except the oldest are then in the front.
     /// `in_back` counts up modulo `N` or `N` − 1. Windows that are fed together should start with different values.
-    /// Their turns then happen in different hops. Numbers out of range count as 0.
+    /// The turns of such windows then happen in different hops. Numbers out of range count as 0.
     #[inline(always)]
     pub fn new(slot: usize, in_back: usize) -> Self {
         const { assert!(N > 0) };
@@ -35,13 +35,13 @@ impl<const N: usize> RingPlace<N> {
         }
     }
 
-    /// Returns the same step for another window, which has its own number of pieces in the back.
+    /// Returns the same step for another window with its own number of pieces in the back.
     #[inline(always)]
     pub fn with_in_back(self, in_back: usize) -> Self {
         Self { in_back: if in_back < N { in_back } else { 0 }, ..self }
     }
 
-    /// Index of the oldest piece, which the new one replaces; below `N`.
+    /// Index of the oldest piece, which is below `N`. The new piece replaces it.
     #[inline(always)]
     pub fn slot(&self) -> usize {
         // SAFETY: `new` guarantees this, and no other code writes the field.
@@ -49,7 +49,7 @@ impl<const N: usize> RingPlace<N> {
         self.slot
     }
 
-    /// Index of the oldest piece after the step; below `N`.
+    /// Index of the oldest piece after the step. The index is below `N`.
     #[inline(always)]
     pub fn oldest(&self) -> usize {
         // SAFETY: as above.
@@ -57,7 +57,7 @@ impl<const N: usize> RingPlace<N> {
         self.oldest
     }
 
-    /// Number of pieces in the back before the step; below `N`.
+    /// Number of pieces in the back before the step. The number is below `N`.
     #[inline(always)]
     pub fn in_back(&self) -> usize {
         // SAFETY: as above.
@@ -65,7 +65,7 @@ impl<const N: usize> RingPlace<N> {
         self.in_back
     }
 
-    /// Number of pieces in the front after the step; below `N`.
+    /// Number of pieces in the front after the step. The number is below `N`.
     #[inline(always)]
     pub fn in_front(&self) -> usize {
         N - 1 - self.in_back()

@@ -2,11 +2,11 @@
 //!
 //! Pairs of consecutive samples are averaged, and a second [`AlignedWindow`] receives the means.
 //! In this window, the hand seems to move at twice its tempo, and the same network classifies it.
-//! The network has learned gestures at various tempos, both slower and faster than the normal one.
-//! In a two-second window of an accelerometer, for example, a left-right of 0.45 Hz is hard to distinguish from swaying.
+//! The network has learned gestures at various tempos, some of them slower and some faster than normal.
+//! In a two-second window of an accelerometer, a left-right of 0.45 Hz is hard to distinguish from swaying.
 //! In the slow window, the same movement appears as 0.9 Hz.
-//! (Accelerations do not change, although a real gesture at twice the tempo has four times the acceleration.
-//! Most features are ratios, so this hardly matters.)
+//! (The accelerations stay the same, but a real gesture at twice the tempo has four times the acceleration.
+//! The difference hardly matters, because most features are ratios.)
 //!
 //! Only models without a gyroscope use this window. Their features take half the time.
 //! With a gyroscope, the slow window does not improve the results on recordings of real people.
@@ -18,7 +18,7 @@ use crate::right::aligned::AlignedWindow;
 #[derive(Clone, Debug)]
 pub struct SlowWindow<const A: usize> {
     window: AlignedWindow<A>,
-    /// The first sample of a pair, which waits for the second one.
+    /// The first sample of a pair, which waits for the second sample.
     first: Option<[f32; A]>,
     is_new: bool,
 }

@@ -110,7 +110,7 @@ pub(crate) mod table {
         result
     }
 
-    /// Returns the exponentials of 0, −1, −2, … steps, up to the last one that can affect an output.
+    /// Returns the exponentials of 0, −1, −2, … steps, up to the last exponential that can affect an output.
     /// `multiplier` (Q0.31) and `left_shift` scale a step of the logits to Q5.26.
     pub(crate) fn exponentials(multiplier: i32, left_shift: u32) -> Vec<i32> {
         let limit = (31i64 << 26) >> left_shift;

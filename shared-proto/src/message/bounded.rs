@@ -16,7 +16,7 @@ const fn with_length(max: usize) -> usize {
 #[serde(transparent)]
 pub struct Text<'a, const MAX: usize>(pub &'a str);
 
-/// At most `MAX` bytes. Encoding more bytes may fail.
+/// A list of at most `MAX` bytes. Encoding a longer list may fail.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Bytes<'a, const MAX: usize>(pub &'a [u8]);

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared_words::Hand;
 
 open_list! {
-    /// The kind of board. It determines for which hand the board is.
+    /// The kind of board. The kind also determines the hand.
     Board {
         /// Arduino Nano (ATmega328P), which reports tilts and bends.
         LeftNano = 0,
@@ -27,7 +27,7 @@ open_list! {
 }
 
 impl Board {
-    /// Returns the hand for which the board is, if it is known.
+    /// Returns the hand that uses this kind of board, if the kind is known.
     pub const fn hand(self) -> Option<Hand> {
         match self {
             Self::LeftNano | Self::LeftXiao | Self::LeftReplay => Some(Hand::Left),
@@ -78,7 +78,7 @@ pub struct Hello<'a> {
     #[serde(borrow)]
     pub firmware: Text<'a, FIRMWARE_MAX>,
     /// A number that differs after each start.
-    /// A new number resets counters and clock, and the hands must be neutral again.
+    /// After a new number, counters and clock start again, and the hands must be neutral again.
     pub boot_id: u32,
     /// CRC-32 of the running model's blob; 0 if there is none.
     pub model_id: u32,
@@ -107,7 +107,7 @@ open_list! {
         Bootloader = 0,
         /// Nordic's S140, flashed with a probe.
         S140 = 1,
-        /// S140 and a UF2 bootloader, with which the XIAO is sold.
+        /// S140 and the UF2 bootloader that new XIAO boards contain.
         Uf2 = 2,
         /// The board's own bootloader, with Bluetooth in the image.
         Linked = 3,
@@ -135,7 +135,8 @@ open_list! {
 pub struct About {
     /// The detected sensor.
     pub sensor: Sensor,
-    /// Number of valid values per sample: 9, 6, or 0 if there is no sensor. A model that reads more values cannot run.
+    /// Number of valid values per sample: 9, 6, or 0 if there is no sensor.
+    /// A model that reads more values cannot run.
     pub axes: u8,
     /// The variant of the firmware.
     pub image: Image,

@@ -54,7 +54,7 @@ pub(crate) const fn largest(rows: &[Row], left_only: bool) -> usize {
     most
 }
 
-/// Returns whether the rows are in the order of their numbers, and none is newer than the version.
+/// Returns whether the rows are in the order of their numbers and no row is newer than the version.
 pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
     let mut i = 0;
     while i < rows.len() {
@@ -151,7 +151,7 @@ macro_rules! messages {
     };
 }
 
-/// Messages from boards. The body of each has its own type.
+/// Messages from boards. The body of each message has its own type.
 macro_rules! board_messages {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $(
         $(#[$meta:meta])* $number:literal $name:ident($body:ty) => $boards:ident, $since:literal;
@@ -275,7 +275,8 @@ mod tests {
         assert_eq!(Said::Noise(Bytes(&[7])).row().boards, Boards::Right);
         let hush = Row { number: 0, name: "Hush", boards: Boards::Both, since: 0, frame_max: 7 };
         assert_eq!(Told::ROWS[0], hush);
-        // Number, checksum, code byte and delimiter take 7 bytes. The first message has 2 + 200 more, and the second has 1 + 5.
+        // Number, checksum, code byte and delimiter take 7 bytes.
+        // The first message has another 2 + 200 bytes, and the second has another 1 + 5 bytes.
         assert_eq!([Told::ROWS[1].frame_max, Told::ROWS[2].frame_max], [209, 13]);
         let feel = Told::Feel { signal: Signal::Stopped, time_ms: 300 };
         assert_eq!((feel.row().name, feel.row().since), ("Feel", 3));

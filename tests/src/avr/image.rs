@@ -20,7 +20,7 @@ pub fn path() -> PathBuf {
     .clone()
 }
 
-/// The address after the image's static memory, down to which the stack may grow (`__heap_start`).
+/// Returns the first address after the image's static memory (`__heap_start`). The stack may grow down to it.
 ///
 /// # Panics
 /// Panics if the image cannot be read.
@@ -31,7 +31,7 @@ pub fn static_end() -> usize {
     (symbol.address() & 0xFFFF) as usize
 }
 
-/// The address of `_exit`, where the C runtime ends with `cli` and an endless loop.
+/// Returns the address of `_exit`, where the C runtime ends with `cli` and an endless loop.
 ///
 /// # Panics
 /// Panics for the same reason as [`static_end`].

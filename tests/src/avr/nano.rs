@@ -5,8 +5,8 @@
 //! simavr differs from the chip in several ways.
 //! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
 //! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
-//! Two errors are corrected here: simavr sleeps without SMCR.SE,
-//! In addition, its interrupting watchdog never resets a program that has disabled interrupts.
+//! This module corrects two errors of simavr. The first is that it sleeps even if SMCR.SE is clear.
+//! The second is that an interrupting watchdog never resets a program that has disabled interrupts.
 
 mod callbacks;
 
@@ -21,9 +21,9 @@ use simavr_ffi as ffi;
 
 /// Clock of the Nano.
 pub const CYCLES_PER_MS: u64 = 16_000;
-/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr uses.
+/// Number of cycles per byte at 115200 baud. A bit takes 136 cycles, and simavr uses 11 bits per byte.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Number of cycles between two checks for events. After a reset, about this many are missing in the count.
+/// Number of cycles between two checks for events. After a reset, the count is too low by about this number.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
@@ -284,14 +284,14 @@ impl Nano {
         self.wires.sent.borrow_mut().pop_front()
     }
 
-    /// Returns the bytes whose last bit was sent by this cycle; later ones remain for the next call.
+    /// Returns the bytes whose last bit was sent by this cycle; later bytes remain for the next call.
     pub fn sent_until(&mut self, cycle: u64) -> Vec<u8> {
         let mut queue = self.wires.sent.borrow_mut();
         let count = queue.partition_point(|&(at, _)| at <= cycle);
         queue.drain(..count).map(|(_, byte)| byte).collect()
     }
 
-    /// Sends bytes to the board without pauses, after all earlier ones.
+    /// Sends bytes to the board without pauses, after all earlier bytes.
     pub fn send(&mut self, bytes: &[u8]) {
         let mut queue = self.wires.to_receive.borrow_mut();
         let was_empty = queue.is_empty();
@@ -340,7 +340,7 @@ impl Nano {
         self.pass_optiboot();
     }
 
-    /// Writes bytes to the start of the old bootloader, so that the program detects one.
+    /// Writes bytes to the start of the old bootloader, so that the program detects an old bootloader.
     pub fn pretend_old_bootloader(&mut self) {
         const OLD_BOOTLOADER: usize = 0x7800;
         // Safety: the write is within the 32 KB of flash.
@@ -428,7 +428,8 @@ impl Nano {
 
 impl Drop for Nano {
     fn drop(&mut self) {
-        // Safety: simavr allocated it, and it is not used afterwards. (The core itself is a plain allocation.)
+        // Safety: simavr allocated this memory, and it is not used afterwards.
+        // (The core itself is a plain allocation.)
         unsafe {
             ffi::avr_terminate(self.avr);
             libc_free(self.avr.cast());

@@ -16,7 +16,7 @@ use super::wearer::{SUPPLY_MV, normal};
 /// Number of conversions that the board adds up per sample.
 const OVERSAMPLING: f64 = 8.0;
 
-/// The middle of a 10-bit conversion, in mV.
+/// Returns the voltage in the middle of a 10-bit step, in mV.
 fn millivolts(counts: f64) -> f64 {
     (counts + 0.5) / 1024.0 * SUPPLY_MV
 }

@@ -16,9 +16,11 @@ use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 /// How a wearer's sensors and neutral pose are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Parts {
-    /// They are drawn uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
+    /// Sensors are drawn uniformly from the complete range of the tolerances.
+    /// The neutral pose is within 10° of level.
     Drawn,
-    /// They are the worst case, in which every tilt looks largest: sensitivity + 10 %, neutral 10° off level.
+    /// The worst case, in which every tilt looks largest.
+    /// The sensitivity is 10 % too high, and neutral is 10° off level.
     Loudest,
 }
 
@@ -42,7 +44,7 @@ pub const IN_TIME_MS: f64 = 430.0;
 pub struct Tilts {
     /// Number of trials.
     pub trials: u32,
-    /// Number of tilts that gave the correct command within [`IN_TIME_MS`], and no other within 2 s.
+    /// Number of tilts that gave the correct command within [`IN_TIME_MS`], and no other command within 2 s.
     pub right: u32,
     /// Number of tilts that gave the opposite command at any time.
     pub reversed: u32,
@@ -68,9 +70,9 @@ pub struct BendCounts {
     pub bends: [u32; 2],
     /// Number of bends that the finger's counter counted exactly once.
     pub once: [u32; 2],
-    /// Number of counts without a bend.
+    /// Number of counts that no bend caused.
     pub excess: u32,
-    /// Number of stop flags without a closed hand.
+    /// Number of stop flags that the board set although the hand was not closed.
     pub stops: u32,
 }
 
@@ -117,7 +119,7 @@ fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<Ref
         hand.borrow_mut().bend(finger, 0.0, now_s, 0.2);
     }
     session.run_ms(1000.0);
-    // Creates the trials' tremor with the same sensors.
+    // From here on, the wearer has the tremor of the trials and the same sensors as before.
     let tremor = Tremor::drawn(&mut rng, tremor_deg.to_radians(), hz);
     let (wearer, hand) = Wearer::new(sensors, off_level, Some(tremor), rng.fork());
     session.nano.set_voltages(Box::new(wearer));
@@ -259,8 +261,8 @@ pub fn bends(job: Job) -> BendCounts {
     result
 }
 
-/// Returns two stack sizes in bytes: the RAM that was never used, and the deepest stack. The program fills the RAM
-/// with a pattern at its start.
+/// Returns two stack sizes in bytes: the RAM that was never used, and the deepest stack.
+/// The program fills the RAM with a pattern at its start.
 /// The session contains all requests, a flood, faults and a calibration.
 pub fn stack() -> (usize, usize) {
     const PAINT: u8 = 0xC5; // of `firmware-nano-avr/src/stack.rs`

@@ -1,7 +1,7 @@
 //! A hand with its sensors: converts poses and bends over time to voltages at five pins.
 //!
 //! The tolerances are from the data sheets. An ADXL335 has an offset of ±0.15 V (x, y) or ±0.3 V (z).
-//! Its sensitivity is 270 to 330 mV/g. Both values apply at 3.0 V and are ratiometric.
+//! The sensitivity is 270 to 330 mV/g. Offset and sensitivity apply at 3.0 V and are ratiometric.
 //! The bandwidth is 50 Hz and the noise is 300 µg/√Hz.
 //! Flex sensors have 10 kΩ ± 30 % when flat, and two to three times as much when bent.
 
@@ -37,7 +37,7 @@ pub fn smooth(x: f64) -> f64 {
 /// One person's sensors.
 #[derive(Clone, Debug)]
 pub struct Sensors {
-    /// Volts per g relative to nominal, x y z.
+    /// Sensitivity of x, y and z, as a multiple of the nominal volts per g.
     pub sensitivity: [f64; 3],
     /// Offset from half the supply in mV, x y z.
     pub offset_mv: [f64; 3],
@@ -110,7 +110,8 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// Tilts to these angles in radians relative to neutral, starting at `start_s` and taking `lasts_s`.
+    /// Tilts the hand to these angles in radians relative to neutral.
+    /// The tilt starts at `start_s` and takes `lasts_s`.
     pub fn tilt(&mut self, pitch: f64, roll: f64, start_s: f64, lasts_s: f64) {
         self.pitch.go(pitch, start_s, lasts_s);
         self.roll.go(roll, start_s, lasts_s);
@@ -154,7 +155,7 @@ impl Tremor {
 pub enum Fault {
     /// This channel (0..=4 = x, y, z, index, middle) is disconnected.
     Open(u8),
-    /// Voltage in mV of a rail to which this channel is shorted.
+    /// This channel is shorted to a rail, whose voltage is given in mV.
     Shorted(u8, f64),
     /// All accelerations are multiplied by this factor.
     Gravity(f64),
@@ -216,7 +217,7 @@ impl Wearer {
         let (shaken_pitch, shaken_roll) = self.tremor.as_ref().map_or((0.0, 0.0), |tremor| tremor.at(t));
         let hand = self.hand.borrow();
         let (pitch, roll) = (hand.pitch.at(t) + shaken_pitch, hand.roll.at(t) + shaken_roll);
-        // The larger tilt is the intended one.
+        // The larger of the two tilts is the intended tilt.
         // The larger tilt is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
         if pitch.abs() >= roll.abs() {
             rolled(pitched(self.neutral_up, pitch), roll)

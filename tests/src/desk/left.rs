@@ -44,7 +44,8 @@ impl LeftStation {
 }
 
 impl Left {
-    /// Starts an uncalibrated board on a level hand with straight fingers, with a port of this name on the desk.
+    /// Starts an uncalibrated board on a level hand with straight fingers.
+    /// The board's port on the desk has this name.
     pub fn start(desk: &Desk, name: &str) -> LeftStation {
         let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(7));
         let nano = Nano::new(&image::path(), &BLANK, Box::new(wearer));

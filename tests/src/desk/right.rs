@@ -42,7 +42,7 @@ impl Hand {
         if place >= 0.0 && place + 1.0 < self.rows.len() as f64 {
             return between(&self.rows, place);
         }
-        // Plays to the end and back again, so that there is no jump.
+        // The movement is played to its end and then backwards, so that there is no jump.
         let turn = (self.idle.len() - 2) as f64;
         let place = (seconds * ROWS_PER_S).rem_euclid(2.0 * turn);
         between(&self.idle, if place < turn { place } else { 2.0 * turn - place })

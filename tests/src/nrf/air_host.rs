@@ -65,7 +65,8 @@ impl AirHost {
         Self::want(board, order.clone()).unwrap_or_else(|failed| panic!("{order}: {failed}"))
     }
 
-    /// Connects at this interval (in ms), pairs or (if it has keys) encrypts, requests the largest MTU, and subscribes.
+    /// Connects at this interval (in ms), and then pairs. If the laptop has keys, it encrypts instead.
+    /// Finally, requests the largest MTU and subscribes.
     ///
     /// # Panics
     /// Panics if a step fails.

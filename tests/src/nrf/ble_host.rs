@@ -1,6 +1,7 @@
 //! Simulates the Bluetooth of a laptop with its operating system and our bridge.
-//! The laptop connects again and again, encrypts with stored keys or pairs, requests a large MTU, subscribes,
-//! and then exchanges frames.
+//! The laptop connects again and again.
+//! It encrypts with stored keys or pairs, requests a large MTU and subscribes.
+//! After that, it exchanges frames.
 
 use super::board::Board;
 use super::softdevice::central::{Command, Happening};

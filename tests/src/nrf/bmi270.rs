@@ -17,7 +17,7 @@ const SET_BYTES: usize = 12;
 /// Size of the FIFO: 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
 
-/// Durations: leaving power-save mode, a reset, and the start of the loaded program.
+/// Durations of three actions: leaving power-save mode, a reset, and the start of the loaded program.
 const WAKE: u64 = us(450);
 const RESET: u64 = ms(2);
 const INITIALISE: u64 = ms(20);
@@ -75,7 +75,7 @@ impl Bmi270 {
         self.register(0x21) & 0xF == 1 && self.register(0x02) & 1 == 0
     }
 
-    /// Returns `None` if a sensor is off, or if both have different rates.
+    /// Returns `None` if a sensor is off, or if the two sensors do not have the same rate.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x40) & 0xF, self.register(0x42) & 0xF) {
             (8, 8) => 100.0,

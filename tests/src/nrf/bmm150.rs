@@ -179,7 +179,8 @@ mod tests {
         set(&mut chip, &[(0x51, 4)], START - 1);
         assert_eq!(get(&mut chip, 0x40, START), [0x32]);
         assert_eq!([get(&mut chip, MODE, START), get(&mut chip, 0x51, START)], [[0x06], [0]]);
-        // Trimming values at the data sheet's addresses: those of x and y, those of z, and all others.
+        // The trimming values are at the addresses in the data sheet.
+        // The test reads those of x and y, those of z, and all others.
         assert_eq!(get(&mut chip, 0x64, START), [26, 26]);
         assert_eq!(get(&mut chip, 0x6A, START), 24_747u16.to_le_bytes());
         assert_eq!(get(&mut chip, 0x70, START), [0xFD, 29]);

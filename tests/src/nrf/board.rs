@@ -7,11 +7,14 @@ mod exceptions;
 mod hooks;
 mod measure;
 mod radio;
+mod update;
 
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
 pub use measure::{Call, Tapped};
 use measure::{Open, PAINT, PAINTED};
+
+use shared_board::update as layout;
 
 use super::bmi270::Bmi270;
 use super::i2c::Sensor;
@@ -44,7 +47,7 @@ enum Stop {
     ExceptionReturn,
     /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
-    /// The core called a function at this address that the emulator executes in its place.
+    /// The core called the function at this address, and the emulator executes it instead of the core.
     Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
@@ -58,15 +61,17 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Number of cycles of executed instructions, and its value when interrupts were masked.
+    /// Number of cycles spent on instructions, now and when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Number of instructions of the block that starts at each half-word of flash. The value is 0 if the block has not run,
-    /// and [`ANSWERED`] if the emulator executes the function itself.
+    /// Number of instructions of the block that starts at each half-word of flash.
+    /// The value is 0 if the block has not run.
+    /// The value is [`ANSWERED`] if the emulator executes the function itself.
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses with the numbers of their probes. There should be few, because every block searches the whole list.
+    /// Addresses with the numbers of their probes.
+    /// There should be few addresses, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
     /// Probes that fill the stack with a pattern.
@@ -165,7 +170,7 @@ pub struct Board {
     /// Causes of all resets since power-up (RESETREAS).
     pub resets: Vec<u32>,
     /// Whether the simulated bootloader is active. It accepts an upload until the board is reset.
-    /// Like the stock bootloader, this one never feeds a watchdog.
+    /// Like the stock bootloader, this bootloader never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }
@@ -187,6 +192,9 @@ impl Board {
         let mut soc = Soc::new(kind.wiring(), kind.sensor(motion));
         for (address, bytes) in &image.pieces {
             soc.flash[*address as usize..][..bytes.len()].copy_from_slice(bytes);
+        }
+        if let Some(base) = image.second_stage {
+            soc.images = base + layout::SLOT_B..base + layout::END;
         }
         if boot == Boot::SoftDevice {
             soc.softdevice = Some(Box::default());
@@ -215,17 +223,22 @@ impl Board {
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
         uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
         // The firmware writes the two model slots itself, so they are registers from the core's point of view.
-        uc.mem_map(0, u64::from(SLOTS_START), Prot::ALL).expect("flash");
-        let behind = u64::from(SLOTS_END);
-        uc.mem_map(behind, FLASH_BYTES as u64 - behind, Prot::ALL).expect("flash");
+        // Neither does a program run from where a new image waits.
+        let images = uc.get_data().soc.images.clone();
         let flash = uc.get_data().soc.flash.clone();
-        uc.mem_write(0, &flash[..SLOTS_START as usize]).expect("flash");
-        uc.mem_write(behind, &flash[SLOTS_END as usize..]).expect("flash");
+        let images_end = if images.is_empty() { 0 } else { images.end };
+        for (start, end) in [(0, images.start), (images_end, SLOTS_START), (SLOTS_END, FLASH_BYTES as u32)] {
+            if start < end {
+                uc.mem_map(start.into(), u64::from(end - start), Prot::ALL).expect("flash");
+                uc.mem_write(start.into(), &flash[start as usize..end as usize]).expect("flash");
+            }
+        }
         let ram = uc.get_data_mut().soc.ram.as_mut_ptr();
         // SAFETY: the RAM is in a box that lives as long as the emulator and never moves.
         unsafe { uc.mem_map_ptr(RAM_START.into(), RAM_BYTES as u64, Prot::ALL, ram.cast()) }.expect("RAM");
         for (start, len) in [
             (SLOTS_START, SLOTS_END - SLOTS_START),
+            (images.start, images.end - images.start),
             (0x1000_0000, 0x2000),
             // This range includes the undocumented registers of the USB errata.
             (0x4000_0000, 0x10_0000),
@@ -234,6 +247,9 @@ impl Board {
             (0xE000_E000, 0x1000),
             (0xF000_0000, 0x1000),
         ] {
+            if len == 0 {
+                continue;
+            }
             uc.mmio_map(
                 start.into(),
                 len.into(),
@@ -241,7 +257,10 @@ impl Board {
                     u64::from(uc.get_data_mut().soc.read(start + offset as u32, size as u32))
                 }),
                 Some(move |uc: &mut Unicorn<'_, World>, offset: u64, size: usize, value: u64| {
-                    uc.get_data_mut().soc.write(start + offset as u32, value as u32, size as u32);
+                    let address = start + offset as u32;
+                    Self::before_flash(uc, address, value as u32);
+                    uc.get_data_mut().soc.write(address, value as u32, size as u32);
+                    Self::after_flash(uc, address, value as u32);
                 }),
             )
             .expect("registers");
@@ -295,7 +314,7 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // This is the state after the stock bootloader: its own vector table is active, and the converter and the cache are on.
+            // The stock bootloader leaves its vector table active, and leaves the converter and the cache on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
             // UARTE0 still receives into one byte of the bootloader's RAM, which now belongs to the image.
@@ -444,7 +463,8 @@ impl Board {
         self.reset(PIN);
     }
 
-    /// Simulates a slow crystal whose start outlasts the stock bootloader, which then leaves CLOCK's interrupt enabled.
+    /// Simulates a slow crystal, whose start takes longer than the stock bootloader runs.
+    /// The bootloader then leaves CLOCK's interrupt enabled.
     pub fn leave_clock_interrupt(&mut self) {
         self.slow_crystal = true;
         self.start();

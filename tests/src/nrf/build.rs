@@ -1,6 +1,6 @@
 //! Builds the firmware images for the tests, once per test run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock};
 
 use super::image::Image;
@@ -14,22 +14,33 @@ pub enum Variant {
     Ble,
     /// The same as `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
-    /// The image behind the stock bootloader at 0x10000, with Bluetooth linked in.
+    /// The image behind the stock bootloader and its second stage, with Bluetooth linked in.
     Trouble,
+    /// The second stage of that image.
+    Stage,
     /// A left hand's image for a XIAO nRF52840 Sense, with Bluetooth linked in.
     XiaoLeft,
+    /// The second stage of that image.
+    XiaoStage,
 }
 
-/// Returns the image of a variant, built by `cargo xtask firmware nano33`. The variables `BIMANUAL_NANO33_ELF`,
-/// `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF`, `BIMANUAL_XIAO_ELF` and `BIMANUAL_XIAO_LEFT_ELF` select other images, or images
-/// that are already built, as `cargo xtask test` does.
+/// Returns the image of a variant, built by `cargo xtask firmware nano33`.
+/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF`,
+/// `BIMANUAL_XIAO_ELF` and `BIMANUAL_XIAO_LEFT_ELF` select other images.
+/// `cargo xtask test` uses them to select images that are already built.
 ///
 /// # Panics
 /// Panics if the image does not build. The terminal shows the reason.
 pub fn image(variant: Variant) -> Image {
+    Image::load(path(variant))
+}
+
+fn path(variant: Variant) -> &'static Path {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
     static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
+    static STAGE: OnceLock<PathBuf> = OnceLock::new();
+    static XIAO_STAGE: OnceLock<PathBuf> = OnceLock::new();
     static LEFT: OnceLock<PathBuf> = OnceLock::new();
     let (cell, given) = match variant {
         Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
@@ -37,9 +48,17 @@ pub fn image(variant: Variant) -> Image {
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
         Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
         Variant::XiaoLeft => (&LEFT, "BIMANUAL_XIAO_LEFT_ELF"),
+        // A second stage is built together with its image.
+        Variant::Stage => return STAGE.get_or_init(|| second_stage(Variant::Trouble)),
+        Variant::XiaoStage => return XIAO_STAGE.get_or_init(|| second_stage(Variant::XiaoLeft)),
     };
-    let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
-    Image::load(path)
+    cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from))
+}
+
+fn second_stage(variant: Variant) -> PathBuf {
+    let mut name = path(variant).file_name().unwrap_or_default().to_owned();
+    name.push("-stage");
+    path(variant).with_file_name(name)
 }
 
 /// Returns the XIAO's image in the format of its bootloader.
@@ -63,8 +82,8 @@ fn build(variant: Variant) -> PathBuf {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
         Variant::Xiao => "xiao",
-        Variant::Trouble => "trouble",
-        Variant::XiaoLeft => "xiao-left",
+        Variant::Trouble | Variant::Stage => "trouble",
+        Variant::XiaoLeft | Variant::XiaoStage => "xiao-left",
     };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

@@ -75,7 +75,8 @@ impl Nvmc {
         }
     }
 
-    /// Erases a page for a part of the required time. The page is blank when the parts add up to the whole time.
+    /// Erases a page for a part of the required time.
+    /// The page is blank when the parts add up to the required time.
     pub fn erase_partly(&mut self, memory: &mut [u8], offset: usize, now: u64) {
         let part = ms(self.partial_ms.clamp(1, 127));
         let start = offset / PAGE * PAGE;
@@ -112,7 +113,7 @@ impl Nvmc {
         }
     }
 
-    /// Writes the configuration. The caller, who owns the memory, performs erasing.
+    /// Writes the configuration. The caller owns the memory and therefore performs the erasing.
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
             0x504 => self.config = value,

@@ -3,7 +3,7 @@
 use super::lsm9ds1::Motion;
 use super::time::ms;
 
-/// Time from power-on to the first answer, as for ST sensors of this type.
+/// Time from power-on to the first answer, which is typical of ST sensors of this type.
 const BOOT: u64 = ms(35);
 
 /// A motion sensor on the bus, with its own clock.
@@ -45,7 +45,7 @@ pub struct Bus {
     pub sensor: Box<dyn Sensor>,
     /// Whether the sensor and the pull-ups have power.
     pub powered: bool,
-    /// Number of following transfers that will not be acknowledged.
+    /// This many of the next transfers will not be acknowledged.
     pub nacks: u32,
     /// Number of clock pulses until a device releases SDA.
     pub stuck_clocks: u32,
@@ -54,7 +54,7 @@ pub struct Bus {
     supplied: bool,
     /// Whether the controller uses the sensor's pins.
     pub wired: bool,
-    /// Cycle from which on the sensors answer.
+    /// Cycle from which the sensors answer.
     awake_at: u64,
     /// Number of transfers so far.
     pub transfers: u64,

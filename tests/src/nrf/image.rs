@@ -5,6 +5,7 @@ use std::path::Path;
 
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, ObjectSegment, ObjectSymbol, SectionKind};
+use shared_board::update;
 
 /// A firmware image.
 #[derive(Clone, Debug, Default)]
@@ -21,13 +22,15 @@ pub struct Image {
     pub flash_bytes: u32,
     /// Size in bytes of the statics in RAM.
     pub ram_bytes: u32,
+    /// Address of the second stage, if there is one.
+    pub second_stage: Option<u32>,
 }
 
 impl Image {
     /// Reads an ELF file.
     ///
     /// # Panics
-    /// Panics if the file is not an image for this chip, which our own linker never produces.
+    /// Panics if the file is not an image for this chip. An image from our own linker never causes this.
     pub fn load(path: &Path) -> Self {
         let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");
@@ -61,6 +64,31 @@ impl Image {
             }
         }
         image
+    }
+
+    /// Puts the image behind its second stage, which the bootloader starts, and which has this public key or none.
+    ///
+    /// # Panics
+    /// Panics if the image is not linked for the place behind the second stage.
+    #[must_use]
+    pub fn behind(mut self, stage: Self, key: Option<[u8; 32]>) -> Self {
+        let base = stage.vector_table;
+        assert_eq!(self.vector_table, base + update::SLOT_A, "the image is linked for slot A");
+        self.pieces.extend(stage.pieces);
+        self.pieces.extend(key.map(|key| (base + update::STAGE_BYTES - 32, key.to_vec())));
+        (self.vector_table, self.second_stage) = (base, Some(base));
+        self
+    }
+
+    /// Returns the bytes from the vector table on, as a file for flashing contains them.
+    pub fn binary(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for (address, piece) in &self.pieces {
+            let start = (address - self.vector_table) as usize;
+            bytes.resize(bytes.len().max(start + piece.len()), 0);
+            bytes[start..start + piece.len()].copy_from_slice(piece);
+        }
+        bytes
     }
 
     /// Returns the address of a function without the Thumb bit.

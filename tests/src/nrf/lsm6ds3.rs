@@ -45,7 +45,7 @@ impl Lsm6ds3 {
         self.registers.get(register)
     }
 
-    /// Returns `None` if a sensor is off, or if both have different rates.
+    /// Returns `None` if a sensor is off, or if the two sensors do not have the same rate.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x10) >> 4, self.register(0x11) >> 4) {
             (4, 4) => 104.0,

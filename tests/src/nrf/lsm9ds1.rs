@@ -270,7 +270,8 @@ impl Sensor for Lsm9ds1 {
         let Some((&register, data)) = bytes.split_first() else { return };
         let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
         self.selected = match die {
-            // The accelerometer's die increments if IF_ADD_INC is set, and the magnetometer's if bit 7 is set.
+            // The accelerometer's die increments if IF_ADD_INC is set.
+            // The magnetometer's die increments if bit 7 is set.
             Die::AccelGyro => (die, register & 0x7F, self.ag[0x22] & 0x04 != 0),
             Die::Mag => (die, register & 0x7F, register & 0x80 != 0),
         };

@@ -12,7 +12,7 @@ pub struct Ram(Box<[u64]>);
 
 impl Default for Ram {
     fn default() -> Self {
-        // The content is not zero, as after a power-up.
+        // As after a power-up, the content is not zero.
         Self(vec![0xA5A5_5A5A_A5A5_5A5A; RAM_BYTES / 8].into_boxed_slice())
     }
 }

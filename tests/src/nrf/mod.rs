@@ -2,8 +2,8 @@
 //!
 //! The emulation needs the package `libunicorn-dev` (Debian) and the Cargo feature `nrf`.
 //! Each peripheral has its own file with its own tests, because emulators are not always accurate.
-//! The emulation omits wait states of the flash (see `board::CYCLES_PER_TWO`), bus contention,
-//! analog behaviour of pins, and radio waves.
+//! The emulation omits bus contention, analog behaviour of pins, and radio waves.
+//! It also omits wait states of the flash (see `board::CYCLES_PER_TWO`).
 
 pub mod air_host;
 pub mod ble_host;

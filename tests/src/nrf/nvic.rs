@@ -91,7 +91,7 @@ impl Nvic {
         self.active.iter().map(|&e| self.priority_of(e)).min().unwrap_or(THREAD)
     }
 
-    /// Returns the most urgent exception that would interrupt the running code, judged only by priority.
+    /// Returns the most urgent exception whose priority is high enough to interrupt the running code.
     pub fn next(&self, basepri: u8) -> Option<usize> {
         let limit = if basepri == 0 { self.running() } else { self.running().min(i32::from(basepri)) };
         let ready = self.pending & self.enabled;
@@ -177,7 +177,7 @@ impl Nvic {
         }
     }
 
-    /// Writes a register of the System Control Space, a byte or a word.
+    /// Writes a byte or a word to a register of the System Control Space.
     pub fn write(&mut self, offset: u32, value: u32, size: u32) {
         let place = |at: u32| if at == 0 { u64::from(value) } else { u64::from(value) << 32 };
         match offset {

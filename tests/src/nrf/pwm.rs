@@ -26,7 +26,8 @@ pub struct Drive {
 pub struct Pwm {
     /// Events of this peripheral.
     pub events: Events,
-    /// All changes of the pin. While the generator is off, the port controls the pin, which is not recorded here.
+    /// All changes of the pin.
+    /// While the generator is off, the port controls the pin and nothing is recorded here.
     pub drives: Vec<Drive>,
     enabled: bool,
     top: u32,

@@ -1,4 +1,4 @@
-//! Joins recordings from `../shared/data` into one for the emulated sensor.
+//! Joins recordings from `../shared/data` into one recording for the emulated sensor.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! The common parts of all emulated sensors with one bus address. They have 128 registers of one byte, and a transfer selects one.
+//! The common parts of all emulated sensors with one bus address.
+//! Each sensor has 128 registers of one byte, and each transfer selects one register.
 //! A [`Motion`] moves each sensor, and each sensor has its own clock.
 
 use super::i2c::Sensor;
@@ -141,7 +142,7 @@ impl<C: Chip> Sensor for C {
 pub mod tests {
     use super::*;
 
-    /// Reads consecutive registers, from a given one on.
+    /// Reads consecutive registers, starting at a given register.
     pub fn get<const N: usize>(chip: &mut impl Chip, register: u8, now: u64) -> [u8; N] {
         Sensor::write(chip, 0, &[register], now);
         let mut bytes = [0; N];

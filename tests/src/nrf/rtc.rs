@@ -17,7 +17,7 @@ pub struct Rtc {
     /// Tick of the 32,768 Hz clock at which the counter was 0 (minus complete turns).
     zero_tick: u64,
     stopped_at: u64,
-    /// Counter values up to this one have already been compared.
+    /// Counter values up to this value have already been compared.
     compared: u64,
 }
 

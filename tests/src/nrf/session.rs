@@ -10,6 +10,7 @@ use super::ble_host::BleHost;
 use super::board::{Board, Boot, Kind};
 use super::build::{Variant, image};
 use super::controller::{Air, Controller};
+use super::image::Image;
 use super::lsm9ds1::{Motion, Still};
 use super::softdevice::central::Happening;
 
@@ -22,7 +23,7 @@ pub struct Right {
     pub sequence: u16,
     /// Time of the window's newest sample on the board's clock.
     pub board_time_ms: u32,
-    /// Number of gestures since the start, which wraps.
+    /// Number of gestures since the start. The number wraps.
     pub events: u8,
     /// Index of the last event's gesture; 255 before the first event.
     pub label: u8,
@@ -43,6 +44,8 @@ pub struct Heard {
     pub hellos: Vec<(u32, u32)>,
     /// The kind of board from the newest hello message.
     pub kind: Option<BoardKind>,
+    /// Versions of the firmware from hello messages.
+    pub versions: Vec<String>,
     /// States of the hand.
     pub states: Vec<Right>,
     /// States of a left hand, each with the cycle at which its frame was complete.
@@ -53,7 +56,7 @@ pub struct Heard {
     pub faults: Vec<Fault>,
     /// Replies to requests.
     pub acks: Vec<Ack>,
-    /// Raw samples: the number of the first one, and the counts.
+    /// Raw samples: the number of the first sample, and the counts.
     pub raw: Vec<(u32, Vec<i16>)>,
     /// The board's newest description of its hardware.
     pub about: Option<About>,
@@ -78,7 +81,7 @@ pub struct RightRig {
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// The Bluetooth of the laptop, if it uses Bluetooth. Another laptop is then connected at D0.
     pub ble: Option<BleHost>,
-    /// Bumble's Bluetooth, if the laptop uses it. Another laptop is connected at D0 in this case too.
+    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0, too.
     pub air: Option<AirHost>,
     /// Messages that the other laptop, at D0, received.
     pub uart: Listener,
@@ -95,7 +98,7 @@ impl RightRig {
         Self::ble_of_kind(Kind::Nano33, motion)
     }
 
-    /// Starts such a session with a board of this kind.
+    /// Starts a Bluetooth session with a board of this kind.
     pub fn ble_of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
         let variant = if kind == Kind::Xiao { Variant::Xiao } else { Variant::Ble };
         let mut board = Board::of_kind(kind, image(variant), Boot::SoftDevice, motion);
@@ -104,7 +107,8 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// Starts such a session with a board at rest, and waits until it is connected, bonded and subscribed.
+    /// Starts a Bluetooth session with a board at rest.
+    /// Waits until the laptop is connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();
@@ -127,16 +131,18 @@ impl RightRig {
     /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
-        Self::on_air(Variant::Trouble, kind, motion)
+        Self::air_of(image(Variant::Trouble), kind, motion)
     }
 
-    /// Starts such a session with a left hand. [`set_flex`](super::left_hand::set_flex) sets its flex sensors.
+    /// Starts such a session with a left hand, whose second stage starts the image.
+    /// [`set_flex`](super::left_hand::set_flex) sets its flex sensors.
     pub fn left_air(motion: Box<dyn Motion>) -> Self {
-        Self::on_air(Variant::XiaoLeft, Kind::Xiao, motion)
+        let image = image(Variant::XiaoLeft).behind(image(Variant::XiaoStage), None);
+        Self::air_of(image, Kind::Xiao, motion)
     }
 
-    fn on_air(variant: Variant, kind: Kind, motion: Box<dyn Motion>) -> Self {
-        let image = image(variant);
+    /// Starts such a session with this image.
+    pub fn air_of(image: Image, kind: Kind, motion: Box<dyn Motion>) -> Self {
         let controller = Controller::new(&image.symbols, Air::start(), 0);
         let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);
         board.answer_controller(controller);
@@ -150,7 +156,8 @@ impl RightRig {
         Self { board, heard, decoder, ble, air: None, uart }
     }
 
-    /// Plugs in the USB cable with a charger. With S140, the UART at D0 works only then.
+    /// Plugs in the USB cable with a charger.
+    /// With S140, the UART at D0 works only while the cable is plugged in.
     pub fn charge(&mut self) {
         let soc = self.board.soc();
         soc.power.set_vbus(true, soc.now);
@@ -169,7 +176,8 @@ impl RightRig {
         }
     }
 
-    /// Runs in steps of a millisecond until a condition holds or the time is over. Returns whether it held.
+    /// Runs in steps of a millisecond until a condition holds or the time is over.
+    /// Returns whether the condition held.
     pub fn run_until_that(&mut self, milliseconds: u64, mut holds: impl FnMut(&mut Self) -> bool) -> bool {
         for _ in 0..milliseconds {
             if holds(self) {
@@ -250,9 +258,10 @@ impl Heard {
     fn push(&mut self, decoder: &mut Decoder<BOARD_FRAME_MAX>, at: u64, byte: u8) {
         let Some(payload) = decoder.push(byte) else { return };
         match parse_board(payload).expect("a message of this version") {
-            BoardMessage::Hello(Hello { boot_id, model_id, board, .. }) => {
+            BoardMessage::Hello(Hello { boot_id, model_id, board, firmware, .. }) => {
                 self.kind = Some(board);
                 self.hellos.push((boot_id, model_id));
+                self.versions.push(firmware.to_string());
             }
             BoardMessage::Left(left) => self.lefts.push((at, left)),
             BoardMessage::Right(r) => self.states.push(Right {

@@ -47,7 +47,7 @@ pub struct Wiring {
     pub power: Pin,
     /// Whether the sensor draws more current than a pin with standard drive can supply.
     pub needs_high_drive: bool,
-    /// The pin that supplies the bus' pull-ups, if it is not the sensor's.
+    /// The pin that supplies the bus' pull-ups, if the sensor's pin does not supply them.
     pub pull_ups: Option<Pin>,
     /// SDA of the sensor's I2C bus, on port 0.
     pub sda: u32,
@@ -90,6 +90,8 @@ pub struct Soc {
     pub watchdog: Watchdog,
     /// The flash controller.
     pub nvmc: Nvmc,
+    /// Addresses of a new image and the journal of the second stage, which the firmware writes itself.
+    pub images: std::ops::Range<u32>,
     ppi: Ppi,
     /// The USB device controller.
     pub usb: Usbd,
@@ -112,7 +114,7 @@ pub struct Soc {
     /// Number of cycles awake, which is also DWT's counter.
     pub awake: u64,
     dwt_offset: u64,
-    /// Number of accesses to peripherals that are not modelled, for each page.
+    /// The pages of peripherals that are not modelled but were accessed.
     pub unknown: std::collections::BTreeSet<u32>,
 }
 
@@ -136,6 +138,7 @@ impl Soc {
             rng: Rng::new(1),
             watchdog: Watchdog::default(),
             nvmc: Nvmc::default(),
+            images: 0..0,
             ppi: Ppi::default(),
             usb: Usbd::default(),
             softdevice: None,
@@ -153,7 +156,8 @@ impl Soc {
         }
     }
 
-    /// Resets the chip without a power-up: memories, time and external connections are kept. `reason` is its RESETREAS bit.
+    /// Resets the chip without a power-up. Memories, time and external connections are kept.
+    /// `reason` is the reset's bit in RESETREAS.
     pub fn reset(&mut self, reason: u32) {
         const SOFT: u32 = 1 << 2;
         self.power.reset(reason);
@@ -267,6 +271,7 @@ impl Soc {
             },
             0x1000_1000..=0x1000_1FFF => Self::word(&self.uicr, offset as usize),
             SLOTS_START..SLOTS_END => Self::word(&self.flash, address as usize),
+            _ if self.images.contains(&address) => Self::word(&self.flash, address as usize),
             _ => self.others.get(&address).copied().unwrap_or(0),
         }
     }
@@ -275,7 +280,7 @@ impl Soc {
         memory.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    // P0's registers start at 0x500 of the page, and P1's at 0x800.
+    // Within the page, P0's registers start at 0x500, and P1's registers start at 0x800.
     fn is_p1(offset: u32) -> bool {
         matches!(offset, 0x804..=0x824 | 0xA00..=0xA7C)
     }
@@ -366,6 +371,9 @@ impl Soc {
                 self.nvmc.program(&mut self.uicr, offset as usize, value, now);
             }
             SLOTS_START..SLOTS_END if self.nvmc.may_write() => {
+                self.nvmc.program(&mut self.flash, address as usize, value, now);
+            }
+            _ if self.images.contains(&address) && self.nvmc.may_write() => {
                 self.nvmc.program(&mut self.flash, address as usize, value, now);
             }
             _ => {

@@ -23,7 +23,7 @@ pub struct ClockPower {
     lf_source: u32,
     /// RESETREAS: the causes of resets.
     pub reset_reasons: u32,
-    /// GPREGRET and GPREGRET2, which only survive a soft reset.
+    /// GPREGRET and GPREGRET2, which survive only a soft reset.
     pub retained: [u32; 2],
     /// DCDCEN: whether the main regulator's converter is on.
     pub converter: bool,

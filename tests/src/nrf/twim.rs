@@ -38,7 +38,7 @@ pub struct Twim {
     error: u32,
     frequency: u32,
     address: u32,
-    /// Number of transfers at 400 kHz, whose low period is shorter than I2C allows (erratum 219).
+    /// Number of transfers at 400 kHz. At this rate, the low period is shorter than I2C allows (erratum 219).
     pub too_fast: u64,
     rx: [u32; 4],
     tx: [u32; 4],

@@ -133,7 +133,7 @@ impl Uarte {
     fn start_rx(&mut self) {
         self.receiver_on = true;
         self.rx[2] = 0;
-        // Pointer and length are latched here, so the image may already write the next ones.
+        // Pointer and length are latched here, so the image may already write the next pointer and length.
         self.receiving = Some((self.rx[0], self.rx[1]));
         self.events.fire(RXSTARTED);
     }

@@ -54,7 +54,7 @@ pub struct UsbHost {
     begins: Option<u64>,
     to_ask: VecDeque<Request>,
     asked: Option<Request>,
-    /// The device's serial number, if it has one.
+    /// The device's serial number, if it has a serial number.
     pub serial_number: Option<String>,
     /// Bulk endpoints of the serial port, in and out.
     bulk: Option<(usize, usize)>,

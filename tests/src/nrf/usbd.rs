@@ -1,7 +1,7 @@
 //! USBD: the USB device controller, with a host on the other side of the cable.
 //!
 //! The test controls the host, which performs control transfers one after another and exchanges packets with bulk endpoints.
-//! The controller answers SET_ADDRESS itself, like the real one.
+//! The controller answers SET_ADDRESS itself, like the real controller.
 
 use std::collections::VecDeque;
 

@@ -16,7 +16,7 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::{Right, RightStation};
 
-/// Number of attempts, because the model does not recognise every simulated gesture.
+/// Maximum number of attempts. The model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 3;
 const SOON: Duration = Duration::from_secs(12);
 

@@ -19,7 +19,7 @@ use crate::renamed::renamed_model;
 
 /// Maximum time until the base drives, or until the end of a gesture is recognised.
 const SOON: Duration = Duration::from_secs(12);
-/// Number of attempts, because the model does not recognise every simulated gesture.
+/// Maximum number of attempts. The model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 3;
 
 fn armed(run: &mut Running) {

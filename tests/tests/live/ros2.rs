@@ -1,9 +1,10 @@
 //! Tests the complete path from both emulated boards to a robot on ROS 2.
-//! The path consists of the flashed images behind pseudo-terminals, the program, DDS, and a robot
-//! on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
+//! The path consists of the flashed images behind pseudo-terminals, the program, and DDS.
+//! It ends at a robot on Eclipse Cyclone DDS (`tests/ros2/peer.py`).
 //! `cargo xtask test --only "ROS 2"` runs this test and sets BIMANUAL_ROS2_PYTHON.
 //!
-//! DDS and the robot use wall-clock time; boards and program share a time that is never faster.
+//! DDS and the robot use wall-clock time.
+//! Boards and program share a time that is never faster than the wall clock.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::time::Duration;
@@ -19,7 +20,7 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// Number of attempts, because the model does not recognise every simulated gesture.
+/// Maximum number of attempts. The model does not recognise every simulated gesture.
 const DRAWINGS: u32 = 4;
 /// Limit in wall-clock time. A gesture takes 4 s of the boards' time.
 const SOON: Duration = Duration::from_secs(60);
@@ -31,7 +32,8 @@ fn is_armed(bridge: &mut Teller) -> bool {
     bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v))
 }
 
-/// Holds the hand level and then at this tilt until the robot has this speed. Returns the first message with it.
+/// Holds the hand level and then at this tilt until the robot has this speed.
+/// Returns the first message with this speed.
 fn tilt(
     (bridge, robot): (&mut Teller, &mut Teller),
     left: &LeftStation,

@@ -3,8 +3,8 @@
 //! The commands lead from `list` to the user's own gesture that moves the arm.
 //!
 //! There are three differences from a real desk.
-//! The ports are pseudo-terminals. `BIMANUAL_PORTS` passes their names to `list`,
-//! and the test inserts the names where the user would insert them.
+//! The ports are pseudo-terminals. `BIMANUAL_PORTS` passes their names to `list`.
+//! The test inserts the names where the user would insert them.
 //! The programs are those that were built for the tests.
 //! The time limit applies to the sum of the boards' time and the actual duration of the training.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]

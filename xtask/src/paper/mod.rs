@@ -1,6 +1,7 @@
 //! `cargo xtask paper`: compares the paper's results with our measurements row by row, and gives the command for each.
 //!
-//! Tests print the rows as `paper: WHAT | PAPER | HERE`. For the rows about recognition, this command trains models itself.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`.
+//! For the rows about recognition, this command trains models itself.
 //! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;
@@ -39,7 +40,7 @@ const PARTS: &[Part] = &[
         rows: &[
             "correct tilts, of",
             "tilts mistaken for the opposite",
-            "start of a tilt",
+            "time from the start of a tilt",
             "tilts forward",
             "tilts backward",
             "tilts left",
@@ -59,11 +60,11 @@ const PARTS: &[Part] = &[
         at_any_length: false,
     },
     Part {
-        title: "From a tilt to the wheels",
+        title: "Time from a tilt until the wheels react",
         test: &["--test", "avr_street"],
         only: "a_voltage_step",
-        rows: &["a tilt to 20°", "a tilt to 30°", "a tilt to 45°"],
-        note: "From the voltage at the board's pin to the first speed of the simulated base.",
+        rows: &["time from a tilt to 20°", "time from a tilt to 30°", "time from a tilt to 45°"],
+        note: "The time starts with the voltage at the board's pin and ends with the first speed of the simulated base.",
         at_any_length: false,
     },
     Part {
@@ -126,14 +127,14 @@ const PARTS: &[Part] = &[
         test: &["--test", "demo_session"],
         only: "every_gesture_of_the_demo",
         rows: &[
-            "demo: up-down to home",
-            "demo: to-fro to pick-up",
-            "demo: left-right to place",
-            "demo: rectangle to place-top-right",
-            "demo: rectangle-flat to place-bottom-right",
-            "demo: circle to random-top",
-            "demo: end of a gesture's last window",
-            "demo: left hand's sample",
+            "demo: time from up-down until home is",
+            "demo: time from to-fro until pick-up is",
+            "demo: time from left-right until place is",
+            "demo: time from rectangle until place-top-right is",
+            "demo: time from rectangle-flat until place-bottom-right is",
+            "demo: time from circle until random-top is",
+            "demo: time from a gesture's last window",
+            "demo: time from the left hand's sample",
         ],
         note: "In the demo, each motion starts at the end of the previous one and passes through home while the base drives, \
                so most motions take twice as long. A gesture's window is 2 s long and is evaluated every 80 ms.",
@@ -274,7 +275,7 @@ fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Returns the matrix of tilt directions and commands, if the test printed one.
+/// Returns the matrix of tilt directions and commands, if the test printed a matrix.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();
@@ -309,7 +310,7 @@ mod tests {
             }
         }
         for row in [
-            "recipe `paper`, tested on a random fifth",
+            "recipe `paper`, tested on a random 20 %",
             "recipe `paper`, tested on unknown wearers",
             "recipe `aligned`, tested on unknown wearers",
         ] {

@@ -10,7 +10,8 @@ use crate::target_dir;
 use crate::test::cargo;
 
 /// Trains models with the paper's recipe and with ours on simulated wearers.
-/// It tests them on a random 20 % of the recordings, as in the paper, and on wearers who are not in the training data.
+/// Tests them on a random 20 % of the recordings, as in the paper.
+/// Also tests them on wearers who are not in the training data.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);
@@ -51,7 +52,7 @@ pub fn section(quick: bool) -> Result<Section> {
             |network: &str| card["test"][network]["per_recording"].as_f64().context("the card has no scores");
         rows.push([
             format!(
-                "recipe `{recipe}`, tested on a random fifth of the same wearers' recordings (float, int8)"
+                "recipe `{recipe}`, tested on a random 20 % of the same wearers' recordings (float, int8)"
             ),
             papers.to_owned(),
             format!("{:.2} %, {:.2} %", of("float")?, of("int8")?),
@@ -67,8 +68,8 @@ pub fn section(quick: bool) -> Result<Section> {
         matrices.push(confusion(recipe, &card)?);
     }
     let note = format!(
-        "Simulated wearers ({wearers} known, {strangers} not): the paper's recordings are not public. Real people: \
-         [models/README.md](../models/README.md)."
+        "The wearers are simulated, {wearers} known and {strangers} unknown ones, because the paper's recordings are not \
+         public. See [models/README.md](../models/README.md) for real people."
     );
     let command = "models synth …; models train FOLDER --recipe RECIPE --test 0.2 …; models eval …: as in xtask/src/paper/recognition.rs";
     Ok(Section {

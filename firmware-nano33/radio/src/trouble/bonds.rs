@@ -1,8 +1,10 @@
 //! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
-//! Pairing uses LE Secure Connections, "just works". It protects against listeners, but not against an attacker nearby
-//! who answers in place of the laptop during pairing. Any laptop may bond while no bond exists, and for [`PAIRING`]
-//! after each start. Later, only laptops whose keys are stored are trusted.
+//! Pairing uses LE Secure Connections, "just works".
+//! "Just works" protects against listeners.
+//! It does not protect against an attacker nearby who answers in place of the laptop.
+//! Any laptop may bond while no bond exists, and for [`PAIRING`] after each start.
+//! Later, only laptops whose keys are stored are trusted.
 
 use core::cell::RefCell;
 
@@ -45,7 +47,7 @@ impl Bonds {
         self.0.borrow().iter().find(|bond| bond.key == key).copied()
     }
 
-    /// Stores a new laptop, or the changed keys of a known one.
+    /// Stores a new laptop, or the changed keys of a known laptop.
     pub fn keep(&self, bond: Bond) {
         self.0.borrow_mut().keep(bond);
         // The newest bond is the most important one.
@@ -54,7 +56,8 @@ impl Bonds {
         }
     }
 
-    /// Gives the stack exactly the stored keys. A laptop that paired outside the permitted time has replaced some of them.
+    /// Gives the stack exactly the stored keys.
+    /// If a laptop has paired outside the permitted time, it has replaced some keys in the stack.
     pub fn restore(&self, stack: &Stack) {
         let laptops = *self.0.borrow();
         loop {

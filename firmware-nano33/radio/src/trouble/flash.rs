@@ -1,8 +1,10 @@
-//! Writes to flash while the radio pauses: mpsl grants a time slot between radio events, in which we may use the
-//! flash controller.
+//! Writes to flash while the radio pauses.
+//! Between radio events, mpsl grants a time slot in which we may use the flash controller.
 //!
-//! A page is erased in pieces of 10 ms. If the radio grants no slot, the request is repeated with a higher priority,
-//! which lets one event of the link be missed. The supervision timeout is two hundred times as long.
+//! A page is erased in pieces of 10 ms.
+//! If the radio grants no slot, the request is repeated with a higher priority.
+//! The link may then miss one event.
+//! Such a miss is harmless, because the supervision timeout is two hundred times as long as a piece.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::mutex::Mutex;
@@ -20,7 +22,7 @@ const PAGE_BYTES: u32 = 0x1000;
 #[derive(Clone, Copy)]
 pub struct SlotFlash;
 
-/// It may move between tasks, because there is only one executor on one core.
+/// The time slots may move between tasks, because there is only one executor on one core.
 struct Slots(nrf_mpsl::Flash<'static>);
 
 // SAFETY: as explained above, this value never leaves the only thread.
@@ -44,7 +46,7 @@ impl SlotFlash {
         Self
     }
 
-    /// Sets a page to all ones.
+    /// Erases a page, which sets all its bits to one.
     ///
     /// # Errors
     /// Fails if the radio gave no slot for a quarter of a second.

@@ -1,4 +1,4 @@
-//! The controller as the host gets it: what comes over the air passes [`shared_board::guard`] first.
+//! Puts a filter between controller and host: all packets from the air must pass [`shared_board::guard`].
 
 use core::cell::Cell;
 
@@ -12,14 +12,14 @@ use bt_hci::{AsHciBytes, ControllerToHostPacket, FromHciBytes};
 use embedded_io::ErrorType;
 use shared_board::guard::Guard;
 
-/// A controller behind the guard. There is one link at a time.
+/// A controller with the guard between it and the host. There is only one link at a time.
 pub struct Guarded<C> {
     controller: C,
     guard: Cell<Guard>,
 }
 
 impl<C> Guarded<C> {
-    /// Puts the guard before it.
+    /// Puts the guard between this controller and the host.
     pub fn new(controller: C) -> Self {
         Self { controller, guard: Cell::new(Guard::default()) }
     }
@@ -75,7 +75,7 @@ where
         buf: &'a mut Self::Buffer<'_>,
     ) -> Result<ControllerToHostPacket<'a>, Self::Error> {
         loop {
-            // SAFETY: what was read is given up before the buffer is used again.
+            // SAFETY: the packet that was read is dropped before the buffer is used again.
             let again = unsafe { &mut *core::ptr::from_mut(buf) };
             let packet = self.controller.read(again).await?;
             if self.passes(&packet) {
@@ -93,7 +93,8 @@ where
 {
     async fn exec(&self, cmd: &Q) -> Result<Q::Return, cmd::Error<Self::Error>> {
         match self.controller.exec(cmd).await {
-            // The link has ended since the controller asked for its key. That is no reason for the host to end.
+            // The link has ended since the controller requested its key.
+            // The host must not stop for this reason.
             Err(cmd::Error::Hci(Refused::UNKNOWN_CONN_IDENTIFIER))
                 if Q::OPCODE == LeLongTermKeyRequestReply::OPCODE =>
             {

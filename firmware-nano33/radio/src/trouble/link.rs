@@ -28,7 +28,7 @@ use crate::{ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID
 pub type Payload = heapless::Vec<u8, PAYLOAD>;
 type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 
-/// Time for a laptop that may bond, because its owner must find the question and answer it.
+/// A laptop that may bond gets this much time, because its owner must find a question and answer it.
 const WHILE_PAIRING: Duration = Duration::from_secs(30);
 /// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
@@ -153,7 +153,7 @@ impl Visit {
                     self.bonds.keep(bond);
                     self.trusted.set(Some(bond));
                 }
-                // Keys of a laptop that does not store them are useless here.
+                // If a laptop does not store its keys, they are useless here.
                 GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
                 GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
                 GattConnectionEvent::Gatt { event: GattEvent::Write(write) } => {
@@ -212,7 +212,8 @@ impl Visit {
 
     /// Sends frames in pieces.
     async fn send(&self) {
-        // The beginning of a frame was sent but its end was not, so the next frame must not be taken for that end.
+        // Set if the beginning of a frame was sent but its end was not.
+        // The end of this frame is then missing, and the next frame must not be mistaken for it.
         let mut torn = false;
         loop {
             let frame = poll_fn(|context| self.outbox.poll_next(context)).await;
@@ -230,7 +231,8 @@ impl Visit {
         }
     }
 
-    /// Queues a piece of a frame. Returns false if there is no room for longer than a hop: it is then late.
+    /// Queues a piece of a frame.
+    /// Returns false if there is no room for longer than a hop, because the piece is then late.
     async fn notify(&self, piece: &[u8]) -> bool {
         let out = &self.server.hand.out;
         let queued = with_timeout(LATE, async {
@@ -244,7 +246,8 @@ impl Visit {
         matches!(queued.await, Ok(Ok(())))
     }
 
-    /// Lets a laptop bond while this is allowed, and disconnects a laptop that is still not trusted after some time.
+    /// Lets a laptop bond while this is allowed.
+    /// Disconnects a laptop that is still not trusted after some time.
     async fn watch(&self) {
         let mut waited = Duration::from_secs(0);
         loop {
@@ -261,8 +264,8 @@ impl Visit {
         }
     }
 
-    /// Requests long packets and the faster radio mode. Then requests one connection interval after another,
-    /// until the laptop accepts one or keeps its own.
+    /// Requests long packets and the faster radio mode.
+    /// Then requests one connection interval after another, until the laptop accepts one or keeps its own.
     async fn negotiate(&self, stack: &'static Stack) {
         let raw = self.link.raw();
         let _ = with_timeout(ANSWER, raw.update_data_length(stack, LONG_PACKET.0, LONG_PACKET.1)).await;

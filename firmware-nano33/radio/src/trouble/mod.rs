@@ -1,8 +1,8 @@
-//! Bluetooth that is linked into the image: Nordic's controller as a library (`nrf-sdc`, `nrf-mpsl`), and above it the
-//! host stack `trouble`.
-//! The board therefore keeps its original bootloader.
+//! Bluetooth that is linked into the image, so that the board keeps its original bootloader.
+//! Nordic's controller is a library (`nrf-sdc`, `nrf-mpsl`), and the host stack `trouble` runs above it.
 //!
-//! These libraries use RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, the clocks, ECB, CCM, AAR and PPI channels 17 to 31.
+//! The two libraries use RADIO, TIMER0, RTC0, TEMP, RNG, NVMC, EGU0, ECB, CCM, AAR and the clocks.
+//! They also use the PPI channels 17 to 31.
 
 mod bonds;
 mod flash;
@@ -59,20 +59,23 @@ bind_interrupts!(struct Irqs {
 type Controller = guard::Guarded<SoftdeviceController<'static>>;
 type Stack = trouble_host::Stack<'static, Controller, DefaultPacketPool>;
 
-/// One laptop, no channels of our own, and one advertisement. There is room for one key more than are stored,
-/// because a new laptop pairs before an old one is forgotten.
+/// The stack has room for one laptop, no channels of our own, and one advertisement.
+/// A new laptop pairs before an old laptop is forgotten.
+/// The stack therefore has room for one more key than the board stores.
 type Resources = HostResources<DefaultPacketPool, 1, 1, 1, { REMEMBERED + 1 }>;
 
 /// Number of packets that the controller buffers for a link: packets to the laptop, and packets from it.
 const PACKETS: (u8, u8) = (4, 3);
-/// Size of the largest packet on the air without its header, which is four bytes more than the largest MTU.
+/// Size of the largest packet on the air, without its header.
+/// The size is four bytes more than the largest MTU.
 const PACKET: u16 = PAYLOAD as u16 + 7;
-/// Memory that the controller needs according to the formulas of its `sdc.h`, for a link with those buffers,
-/// the part that all links share, an advertiser with 31 bytes, and a list of eight addresses (rounded up to 100 bytes).
+/// Memory that the controller needs according to the formulas of its `sdc.h`, rounded up to 100 bytes.
+/// This memory contains a link with those buffers and the part that all links share.
+/// It also contains an advertiser with 31 bytes, and a list of eight addresses.
 const CONTROLLER_BYTES: usize =
     (923 + 7 * (PACKET as usize + 15) - 2 * 42 + 17 + 574 + 68).next_multiple_of(100);
 
-/// The peripherals of the chip that the radio uses.
+/// The peripherals that the radio uses on this chip.
 pub struct Parts {
     /// Timers and clocks.
     pub timing: Timing<'static>,
@@ -193,7 +196,8 @@ async fn run_mpsl(mpsl: &'static MultiprotocolServiceLayer<'static>) -> ! {
     mpsl.run().await
 }
 
-/// Runs the host. It ends only if the controller refuses a command that it must accept; only a restart helps then.
+/// Runs the host. It ends only if the controller refuses a command that it must accept.
+/// After that, only a restart helps.
 #[embassy_executor::task]
 async fn run_host(stack: &'static Stack) -> ! {
     let _ = stack.runner().run().await;

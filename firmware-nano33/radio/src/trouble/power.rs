@@ -1,5 +1,5 @@
-//! Watches the USB cable. Its power events share an interrupt with mpsl's clocks, and the fast crystal must run for USB
-//! while the cable is connected.
+//! Watches the USB cable. Its power events share an interrupt with mpsl's clocks.
+//! While the cable is connected, USB needs the fast crystal.
 
 use embassy_nrf::interrupt::typelevel::{CLOCK_POWER, Handler};
 use embassy_nrf::interrupt::{self, InterruptExt};

@@ -1,7 +1,8 @@
 //! Lets only the laptop that bonded last make permanent changes to the board.
 //!
 //! Pairing is "just works" with bonding, because nrf-softdevice does not support LE Secure Connections.
-//! Before the first bond, and for [`PAIRING`] after each start, any laptop may bond and replace the previous one.
+//! Before the first bond, and for [`PAIRING`] after each start, any laptop may bond.
+//! A new bond replaces the previous bond.
 //! After that time only the bonded laptop is trusted.
 //! A laptop that pairs without bonding is never trusted.
 
@@ -20,7 +21,8 @@ use super::flash::SoftDeviceFlash;
 use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
 
-/// Whether the laptop listens, and its subscription in S140's own format. A bonded laptop expects it to survive an absence.
+/// Whether the laptop listens, and its subscription in S140's own format.
+/// A bonded laptop expects the board to remember the subscription while it is away.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 struct Subscription {

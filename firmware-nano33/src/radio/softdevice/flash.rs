@@ -3,7 +3,8 @@
 use crate::storage::{Flash, FlashFailed, PAGE_BYTES};
 
 /// The SoftDevice's flash calls, which fit between radio events. Only one user may call them at a time.
-/// While a link begins, changes or ends, the radio may leave no time. The SoftDevice then gives up, and this code asks again.
+/// While a link begins, changes or ends, the radio may leave no time.
+/// The SoftDevice then gives up, and this code repeats the request.
 #[derive(Clone, Copy)]
 pub struct SoftDeviceFlash;
 

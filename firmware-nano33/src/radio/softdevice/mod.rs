@@ -31,7 +31,8 @@ use nano33_radio::{
     ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION,
 };
 
-/// Number of notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers need more.
+/// Number of notifications that the SoftDevice queues.
+/// A state every 80 ms needs only one notification, but raw batches and answers need more.
 const QUEUE: u8 = 8;
 /// If a laptop has written nothing for this long, the board requests its interval again.
 /// S140 needs an authenticated packet every 480 s, and the answer to this request is such a packet.
@@ -91,7 +92,7 @@ impl Radio {
 
 fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
-        // The clock source must be that of embassy-nrf, otherwise S140 restarts the clock.
+        // The clock source must be that of embassy-nrf. Otherwise, S140 restarts the clock.
         clock: Some(raw::nrf_clock_lf_cfg_t {
             source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
             rc_ctiv: 0,
@@ -120,7 +121,7 @@ fn enable() -> &'static mut Softdevice {
     Softdevice::enable(&config)
 }
 
-/// Returns whether the USB cable is connected.
+/// Whether the USB cable is connected.
 static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
 
 /// Waits until the USB cable is connected (`true`) or disconnected (`false`). Only one task may call this.
@@ -214,7 +215,8 @@ fn ask_for(connection: &Connection, (min, max): (u16, u16)) {
     });
 }
 
-/// Requests each interval in turn until the laptop grants one. Later repeats the last request when the link is quiet.
+/// Requests each interval in turn until the laptop grants one.
+/// Later, repeats the last request whenever the link is quiet.
 async fn negotiate(connection: &Connection) {
     let mut asked = INTERVALS[0];
     for interval in INTERVALS {
@@ -271,7 +273,8 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         }
     };
     let send = async {
-        // Set after only the first part of a frame was sent, so that the laptop does not join it with the next frame.
+        // This is set if only the first part of a frame was sent.
+        // The laptop must not join that part with the next frame.
         let mut torn = false;
         loop {
             let frame = outbox.next().await;

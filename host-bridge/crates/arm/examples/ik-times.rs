@@ -1,5 +1,6 @@
-//! Solves the inverse kinematics of three arms for 1,000 reachable places each, and prints successes and times.
-//! It also writes the places, so that `tests/arms/kdl.py` can check the results.
+//! Solves the inverse kinematics of three arms for 1,000 reachable places each.
+//! The program prints the numbers of successes and the times.
+//! The program also writes the places, so that `tests/arms/kdl.py` can check the results.
 //!
 //! ```text
 //! cargo run --release -p host-arm --features urdf --example ik-times -- FOLDER
@@ -15,7 +16,7 @@ use host_robot::{Joints, Pose, Random};
 
 const PLACES: usize = 1000;
 
-/// Each joint has its origin in m, roll, pitch and yaw in rad, and its limits in rad.
+/// Each joint has an origin in m, an orientation as roll, pitch and yaw in rad, and limits in rad.
 type Joint = ([f64; 3], [f64; 3], [f64; 2]);
 const PI: f64 = std::f64::consts::PI;
 const HALF: f64 = std::f64::consts::FRAC_PI_2;

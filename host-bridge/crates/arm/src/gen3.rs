@@ -24,7 +24,8 @@ pub const ACCELERATION_SCALING: f64 = 0.05;
 
 /// Jerk limit of all joints in rad/s³, used if jerk is limited. It is not scaled.
 ///
-/// We chose this limit so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova specifies no limit.
+/// We chose this limit so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s.
+/// Kinova specifies no limit.
 /// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach that acceleration in 4 ms.
 pub const MAX_JERK_RAD_S3: f64 = 4.3;
 
@@ -60,7 +61,8 @@ pub const FLANGE_LINK: &str = "end_effector_link";
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
-/// Origin of each joint (and, last, of the flange) in its parent's frame: metres, followed by quarter turns about x.
+/// Origin of each joint (and, last, of the flange) in its parent's frame.
+/// The values are metres, followed by quarter turns about x.
 const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, 0.15643], 2),
     ([0.0, 0.005375, -0.12838], 1),
@@ -83,10 +85,12 @@ pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
 /// A capsule, given by two ends and a radius.
 type Ends = ([f64; 3], [f64; 3], f64);
 
-/// Capsules that enclose the arm's fixed base (first) and the link of each joint, in the link's own frame, in m.
+/// Capsules that enclose the arm's fixed base (first) and each joint's link.
+/// Coordinates are in the link's own frame, in m.
 ///
-/// Each capsule is the smallest around all vertices of its mesh in kortex_description, plus 0.4 mm.
-/// The bracelet has no vision module. Capsules are convex, so they enclose the faces. `tests/arm_hulls.rs` checks them.
+/// Each capsule is the smallest one around all vertices of its mesh in kortex_description, plus 0.4 mm.
+/// The bracelet has no vision module. Capsules are convex, so they enclose the faces.
+/// The test `tests/arm_hulls.rs` checks the capsules.
 const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
     ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),

@@ -1,11 +1,13 @@
 //! Convex hulls of meshes, and capsules that enclose them (feature `urdf`).
 //!
-//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull. Each point is first moved by less than [`JOGGLE`]
-//! of the points' extent, so that no three points lie on a line and no four in a plane.
-//! This error is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
+//! Quickhull (Barber, Dobkin and Huhdanpaa 1996) computes the hull.
+//! Before this, each point is moved by less than [`JOGGLE`] times the extent of all points.
+//! After the move, no three points lie on a line, and no four points lie in a plane.
+//! The error of this move is much smaller than [`SPARE_M`], by which every capsule is thicker than necessary.
 //!
 //! One capsule around a box, or around a link that is thick on one side, would be too thick.
-//! A hull is therefore cut by planes while this reduces the protrusion. Each capsule encloses its convex piece.
+//! A hull is therefore cut by planes as long as each cut reduces the protrusion.
+//! Each capsule encloses one convex piece.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +22,8 @@ const JOGGLE: f64 = 1e-5;
 const PIECES_MAX: usize = 12;
 /// Capsules that protrude from the hull by no more than this are good enough.
 const OUT_MAX_M: f64 = 0.004;
-/// A cut must reduce the protrusion to less than this fraction: one for two pieces, one for four.
+/// A cut must reduce the protrusion to less than this fraction.
+/// The first value is for two pieces, the second for four.
 const WORTH: [(usize, f64); 2] = [(2, 0.9), (4, 0.75)];
 
 /// Returns capsules that enclose the convex hull of the points, and none if there are no points.
@@ -66,7 +69,7 @@ type Plane = (DVec3, f64);
 struct Piece {
     points: Vec<Point>,
     capsule: Capsule,
-    /// The distance by which the capsule protrudes from the whole hull.
+    /// The distance by which the capsule protrudes from the complete hull.
     out_m: f64,
 }
 
@@ -76,7 +79,8 @@ impl Piece {
         Piece { points: points.to_vec(), capsule, out_m: out_m(&capsule, planes) }
     }
 
-    /// Returns the piece's parts if a cut by one plane, or by two that cross, reduces the protrusion.
+    /// Returns the piece's parts, if a cut reduces the protrusion.
+    /// A cut uses one plane, or two planes that cross.
     fn cut(&self, planes: &[Plane], room: usize) -> Option<Vec<Piece>> {
         if self.out_m <= OUT_MAX_M || room < 2 {
             return None;
@@ -124,7 +128,8 @@ impl Piece {
     }
 }
 
-/// Returns the distance by which a capsule protrudes from a hull, measured perpendicular to the hull's planes.
+/// Returns the distance by which a capsule protrudes from a hull.
+/// The distance is measured perpendicular to the hull's planes.
 fn out_m(capsule: &Capsule, planes: &[Plane]) -> f64 {
     let beyond =
         |(normal, at): &Plane| normal.dot(capsule.a_m).max(normal.dot(capsule.b_m)) + capsule.radius_m - at;
@@ -150,7 +155,8 @@ fn around_line(points: &[Point], a_m: Point, b_m: Point) -> Capsule {
     Capsule { radius_m, ..line }
 }
 
-/// Returns a capsule that encloses all points: of a few directions, the one that protrudes least.
+/// Returns the capsule that protrudes least, chosen from a few directions.
+/// Each candidate encloses all points.
 fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     let first = points.first().copied().unwrap_or_default();
     let furthest = |from: Point| {
@@ -186,7 +192,7 @@ fn begun(points: &[Point], planes: &[Plane]) -> Capsule {
     smallest.unwrap_or(Capsule { a_m: first, b_m: first, radius_m: 0.0 })
 }
 
-/// Returns the protrusion, with a small addition for size, so that of two equal capsules the smaller one wins.
+/// Returns the protrusion plus a small term for the size, so that the smaller of two equal capsules wins.
 fn cost(capsule: &Capsule, planes: &[Plane]) -> f64 {
     out_m(capsule, planes) + 0.05 * (capsule.radius_m + 0.5 * capsule.a_m.distance(capsule.b_m))
 }
@@ -224,7 +230,7 @@ struct Hull {
 }
 
 impl Hull {
-    /// Computes the hull of these points, or an upright box around them if that fails.
+    /// Computes the hull of these points. If that fails, the result is an upright box around the points.
     fn around(points: &[Point]) -> Hull {
         let mut points = points.to_vec();
         points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
@@ -260,7 +266,7 @@ impl Hull {
 
 struct Face {
     corners: [usize; 3],
-    /// The faces across each edge, from a corner to the next.
+    /// The neighbouring face across each edge. The edges lead from one corner to the next.
     beside: [usize; 3],
     normal: DVec3,
     at: f64,
@@ -327,7 +333,8 @@ impl Quickhull {
         self.faces[face].normal.dot(self.points[point]) - self.faces[face].at
     }
 
-    /// Assigns a point to the first face, counted from `from`, that it lies beyond. A point inside is discarded.
+    /// Assigns a point to the first face beyond which it lies. The search begins at the face `from`.
+    /// A point inside is discarded.
     fn give(&mut self, point: usize, from: usize) {
         let sees = (from..self.faces.len()).find(|face| self.beyond(*face, point) > 1e-12);
         if let Some(face) = sees {
@@ -360,7 +367,8 @@ impl Quickhull {
         Some(hull)
     }
 
-    /// The point that is furthest beyond a face becomes a corner of the hull. `None` means that rounding prevents this.
+    /// The point that is furthest beyond a face becomes a corner of the hull.
+    /// A result of `None` means that rounding errors prevent this step.
     fn reach_out(&mut self, face: usize) -> Option<()> {
         let far = |a: &&usize, b: &&usize| self.beyond(face, **a).total_cmp(&self.beyond(face, **b));
         let point = *self.faces[face].outside.iter().max_by(far)?;
@@ -416,7 +424,7 @@ mod tests {
         found.iter().map(|c| from_line_m(point, c) - c.radius_m).fold(f64::INFINITY, f64::min)
     }
 
-    /// Returns the corners, and as many random points between them.
+    /// Returns the corners, and the same number of random points between them.
     fn dense(corners: &[Point], random: &mut Random) -> Vec<Point> {
         let mut points = corners.to_vec();
         for _ in 0..3000 {

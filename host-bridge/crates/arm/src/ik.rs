@@ -1,7 +1,9 @@
 //! Inverse kinematics: finds joint angles for a position and an orientation of the flange.
 //!
-//! The method is damped least squares (Nakamura and Hanafusa 1986), with more damping after an unsuccessful step.
-//! The solver restarts from seeded random angles. The budget counts steps and collision checks ([`Budget`]), not time.
+//! The method is damped least squares (Nakamura and Hanafusa 1986).
+//! After an unsuccessful step, the damping is increased.
+//! The solver restarts from seeded random angles.
+//! The budget counts steps and collision checks ([`Budget`]), not time.
 //! Equal calls therefore give equal results on any machine.
 //! A position beyond the arm's length is refused without a step ([`SerialArm::beyond_reach_m`]).
 //! The test `tests/plan_ik.rs` prints the number of steps for solved and for refused positions.
@@ -21,10 +23,10 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// Takes much less than 0.2 s of one core.
+    /// This budget takes much less than 0.2 s of one core.
     pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
 
-    /// Limits the steps to the remaining ones in the purse.
+    /// Limits the steps to those that remain in the purse.
     #[must_use]
     pub fn within(self, purse: &Purse) -> Self {
         Budget { steps: self.steps.min(usize::try_from(purse.left()).unwrap_or(usize::MAX)), ..self }
@@ -32,7 +34,7 @@ impl Budget {
 }
 
 /// Number of steps before a start is abandoned.
-const STEPS_PER_START: usize = 100;
+const STEPS_PER_START: usize = 40;
 
 /// Maximum error of a solution in m and in rad.
 pub const TOLERANCE: f64 = 1e-9;
@@ -91,7 +93,7 @@ pub fn solve(
     solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
 }
 
-/// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
+/// Like [`solve`], but the steps count against the purse. The search ends when the purse is empty.
 ///
 /// # Errors
 /// Returns the same errors as [`solve`].
@@ -214,8 +216,8 @@ fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose;
     ([way.x, way.y, way.z, turn.x, turn.y, turn.z], poses)
 }
 
-/// Returns what the flange does per unit of each joint, in the base frame: its speed, then its turn rate.
-/// `poses` are the links' frames and the flange's.
+/// Returns the motion of the flange per unit of each joint, in the base frame: linear speed, then turn rate.
+/// `poses` contains the frames of the links and of the flange.
 pub(crate) fn columns(arm: &SerialArm, poses: &[Pose; JOINTS + 1]) -> [Six; JOINTS] {
     let tip = poses[JOINTS].position_m;
     let mut columns = [[0.0; 6]; JOINTS];
@@ -249,7 +251,7 @@ fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
     for i in 0..6 {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            // The damping keeps the diagonal positive, and rounding must not change this.
+            // The damping keeps the diagonal positive, even with rounding errors.
             a[i][j] = if i == j { sum.max(1e-18).sqrt() } else { sum / a[j][j] };
         }
     }

@@ -1,30 +1,35 @@
-//! The tool's speed to joint speeds, and how joints change their speed: the arithmetic of jogging. What it is for, and what
-//! it is checked against, is in the director.
+//! The arithmetic of jogging.
+//! This module converts the tool's speed to joint speeds, and computes how joints change their speed.
+//! The director describes the purpose of jogging and its checks.
 //!
-//! Damped least squares (Nakamura and Hanafusa 1986): near a singularity the joints slow down instead of racing. A joint
-//! that nears its limit is given the speed from which it can still stop, and the others do the rest. What is then too fast
-//! for any joint is slowed for all alike, so that the tool keeps to its line.
+//! The method is damped least squares (Nakamura and Hanafusa 1986).
+//! Near a singularity, the joints slow down instead of racing.
+//! A joint near its limit moves no faster than the speed from which it can still stop,
+//! and the other joints compensate for the difference.
+//! If a joint would still be too fast, all joints are slowed by the same factor.
+//! The tool therefore stays on its line.
 
 use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints, Motion};
 
 use crate::ik::{columns, damped};
 use crate::model::SerialArm;
 
-/// Damping, in m and rad alike: far below what an arm in a usual pose has, far above rounding.
+/// Damping, in m and in rad: far below the values of an arm in a usual pose, and far above rounding errors.
 const DAMPING: f64 = 0.03;
-/// An orientation that has drifted is brought back at this rate, in 1/s.
+/// Rate at which a drifted orientation is corrected, in 1/s.
 const BACK_PER_S: f64 = 1.0;
 /// Joints keep this far from their limits.
 const LIMIT_MARGIN_RAD: f64 = 0.01;
-/// Of its acceleration a joint needs no more than this share to stop before its limit: the rest is for how the others move.
+/// To stop before its limit, a joint needs at most this fraction of its acceleration.
+/// The rest is reserved for the motion of the other joints.
 const STOP_SHARE: f64 = 0.4;
-/// A tool that would go less than this share of the way that it is asked to go does not go there.
+/// The tool does not move if it would move at less than this fraction of the requested speed.
 const SHARE_MIN: f64 = 0.3;
 
-/// What the flange does where a joint moves: speed, then turn rate.
+/// Motion of the flange per unit of one joint: linear speed, then turn rate.
 type Column = [f64; 6];
 
-/// Why the tool does not move as asked.
+/// The reason why the tool does not move as requested.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Stuck {
     /// A joint is at its limit, or close to it.
@@ -33,15 +38,15 @@ pub enum Stuck {
         /// Which.
         joint: String,
     },
-    /// The arm is stretched or folded so far that its joints move the tool elsewhere only.
+    /// The arm is stretched or folded so far that its joints can move the tool only in other directions.
     #[error("the arm cannot move its tool that way from here (it is stretched or folded); tilt another way")]
     Singular,
 }
 
-/// Speeds of the joints that move the tool at `tool_m_s` and keep (or bring back) its orientation `hold`.
+/// Returns joint speeds that move the tool at `tool_m_s` and keep (or restore) its orientation `hold`.
 ///
 /// # Errors
-/// [`Stuck`], if the tool would not move that way.
+/// Returns [`Stuck`] if the tool would not move in the requested direction.
 pub fn joint_speeds(
     arm: &SerialArm,
     joints_rad: &Joints,
@@ -52,14 +57,14 @@ pub fn joint_speeds(
     let poses = arm.link_poses(joints_rad);
     let columns = columns(arm, &poses);
     let drift = turn(&(*hold * poses[JOINTS].rotation.transpose())) * BACK_PER_S;
-    // Too few joints for an orientation keep the place alone.
+    // An arm with too few joints for an orientation controls only the position.
     let asks_turn = arm.joints.len() >= 6;
     let columns = if asks_turn { columns } else { columns.map(|[x, y, z, ..]| [x, y, z, 0.0, 0.0, 0.0]) };
     let drift = if asks_turn { drift } else { DVec3::ZERO };
     let wanted = [tool_m_s.x, tool_m_s.y, tool_m_s.z, drift.x, drift.y, drift.z];
     let over =
         |speeds: &Joints| (0..JOINTS).map(|i| speeds[i].abs() / limits.velocity_rad_s[i]).fold(1.0, f64::max);
-    // As fast as the joints can be, before any of them is held back for its limit.
+    // The speed is the maximum for all joints, before any joint is slowed near its limit.
     let slower = 1.0 / over(&damped(&columns, wanted, DAMPING * DAMPING));
     let (wanted, tool_m_s) = (wanted.map(|speed| speed * slower), tool_m_s * slower);
 
@@ -96,8 +101,8 @@ pub fn joint_speeds(
     Ok(speeds.map(|speed| speed / fastest))
 }
 
-/// The acceleration that brings the joints to these speeds, within `for_s` if the limits allow it. All joints change alike, so
-/// that the tool's speed lies between what it was and what it shall be.
+/// Returns the acceleration that brings the joints to these speeds, within `for_s` if the limits allow it.
+/// All joints change in proportion, so the tool's speed stays between its old and its requested value.
 pub fn acceleration(from: &Motion, speeds_rad_s: &Joints, for_s: f64, limits: &JointLimits) -> Joints {
     let change: Joints = std::array::from_fn(|i| speeds_rad_s[i] - from.velocity_rad_s[i]);
     let share = |of: &Joints, most: &Joints| {
@@ -110,7 +115,7 @@ pub fn acceleration(from: &Motion, speeds_rad_s: &Joints, for_s: f64, limits: &J
     if !limits.jerk_rad_s3.iter().all(|jerk| jerk.is_finite()) {
         return wanted;
     }
-    // No more than can be taken back to zero until the speed is reached.
+    // The acceleration must be small enough to return to zero by the time the speed is reached.
     let back: Joints = std::array::from_fn(|i| 0.7 * (2.0 * limits.jerk_rad_s3[i] * change[i].abs()).sqrt());
     let wanted = wanted.map(|a| a * share(&wanted, &back));
     let step: Joints = std::array::from_fn(|i| wanted[i] - from.acceleration_rad_s2[i]);
@@ -118,7 +123,7 @@ pub fn acceleration(from: &Motion, speeds_rad_s: &Joints, for_s: f64, limits: &J
     std::array::from_fn(|i| from.acceleration_rad_s2[i] + part * step[i])
 }
 
-/// The slowest and the fastest speed from which a joint can stop before its limits.
+/// Returns the slowest and the fastest speed from which a joint can stop before its limits.
 fn allowed(arm: &SerialArm, i: usize, angle_rad: f64, limits: &JointLimits) -> (f64, f64) {
     let Some((low, high)) = arm.joints[i].limit_rad else { return (f64::NEG_INFINITY, f64::INFINITY) };
     let stops = |room_rad: f64| {
@@ -127,7 +132,7 @@ fn allowed(arm: &SerialArm, i: usize, angle_rad: f64, limits: &JointLimits) -> (
     (-stops(angle_rad - low), stops(high - angle_rad))
 }
 
-/// A small turn as axis times angle; of a larger one the sine of the angle.
+/// Returns a small rotation as axis times angle; for a larger rotation, the sine replaces the angle.
 fn turn(rotation: &DMat3) -> DVec3 {
     let [x, y, z] = [rotation.x_axis, rotation.y_axis, rotation.z_axis];
     0.5 * DVec3::new(y.z - z.y, z.x - x.z, x.y - y.x)
@@ -218,7 +223,7 @@ mod tests {
                     assert!(next.abs() <= limits.acceleration_rad_s2[i] * (1.0 + 1e-9));
                     let step = (next - here.acceleration_rad_s2[i]).abs();
                     assert!(step <= limits.jerk_rad_s3[i] * 0.02 * (1.0 + 1e-9));
-                    // A constant jerk from the one to the other, or at once.
+                    // A constant jerk leads from one acceleration to the other, unless the jerk is unlimited.
                     let mean = if limits.jerk_rad_s3[i].is_finite() {
                         0.5 * (next + here.acceleration_rad_s2[i])
                     } else {

@@ -7,7 +7,10 @@
 //! * [`motions`]: named motions and poses, as data,
 //! * [`director`]: the part between bridge and robot, which combines all of these.
 
+#[cfg(feature = "urdf")]
+mod dae;
 pub mod director;
+pub mod frame;
 pub mod gen3;
 #[cfg(feature = "urdf")]
 mod hull;

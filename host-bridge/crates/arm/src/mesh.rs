@@ -1,4 +1,4 @@
-//! Reads the points of meshes from STL (binary and text) and OBJ files (feature `urdf`).
+//! Reads the points of meshes from STL (binary and text), OBJ and COLLADA files (feature `urdf`).
 //!
 //! Only the corners are read, because the enclosing shapes depend on nothing else.
 
@@ -13,13 +13,14 @@ const EXTENT_MAX_M: f64 = 5.0;
 /// Returns the corners of the mesh in a file with this name, scaled, in m.
 ///
 /// # Errors
-/// The problem with the mesh, as a text for users.
+/// Returns the problem with the mesh, as a text for users.
 pub fn points(name: &str, bytes: &[u8], scale: DVec3) -> Result<Vec<Point>, String> {
     let ending = name.rsplit('.').next().unwrap_or("").to_ascii_lowercase();
     let raw = match ending.as_str() {
         "stl" => stl(bytes)?,
         "obj" => words(bytes, "v")?,
-        _ => return Err(format!("files that end in .{ending} are not read; STL and OBJ are")),
+        "dae" => crate::dae::points(bytes, POINTS_MAX)?,
+        _ => return Err(format!("files that end in .{ending} are not read; STL, OBJ and DAE are")),
     };
     if raw.is_empty() {
         return Err("it has no corners".to_owned());
@@ -131,7 +132,8 @@ mod tests {
     #[test]
     fn what_cannot_be_read_is_said() {
         let told = |name: &str, bytes: &[u8]| points(name, bytes, DVec3::ONE).unwrap_err();
-        assert!(told("a.dae", b"<COLLADA/>").contains(".dae"));
+        assert!(told("a.dae", b"<COLLADA/>").contains("no scene"));
+        assert!(told("a.glb", b"").contains(".glb"));
         assert!(told("a.stl", &binary(b"")[..100]).contains("end is missing"));
         assert!(told("a.stl", b"no").contains("no STL"));
         assert!(told("a.obj", b"v 1 2\n").contains("line 1"));

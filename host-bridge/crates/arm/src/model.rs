@@ -1,6 +1,7 @@
 //! The model of a serial arm: joints, limits, shapes of its links, named poses, and forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]). Any other arm comes from a URDF file (feature `urdf`, see `urdf.rs`).
+//! The Gen3 is built in ([`SerialArm::gen3`]).
+//! Any other arm comes from a URDF file (feature `urdf`, see `urdf.rs`).
 //! An arm may have up to eight joints that turn or slide.
 //! The missing values of [`Joints`] stay at zero.
 
@@ -19,7 +20,8 @@ use host_robot::shape::{Capsule, Point};
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
 
-/// One joint and the link that it moves. For a sliding joint, positions, speeds and limits are in m instead of rad.
+/// One joint and the link that it moves.
+/// For a sliding joint, positions, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
     /// Name of the joint in the robot's own description.
@@ -40,7 +42,7 @@ pub struct ArmJoint {
     pub velocity_rad_s: f64,
     /// Largest acceleration.
     pub acceleration_rad_s2: f64,
-    /// Shapes that enclose the moved link, in the joint's frame.
+    /// Shapes that enclose the link moved by this joint, in the joint's frame.
     pub shapes: Vec<Capsule>,
     /// The link's shapes without protruding parts, if these are known; otherwise empty.
     pub solids: Vec<Solid>,
@@ -53,7 +55,7 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// The joints in order from the foot; there are one to eight.
+    /// The joints in order from the foot. An arm has one to eight joints.
     pub joints: Vec<ArmJoint>,
     /// Position of the flange in the last joint's frame, in m.
     pub flange_m: Point,
@@ -145,6 +147,19 @@ impl SerialArm {
         self.name == GEN3
     }
 
+    /// Returns whether two links (the foot is 0) are tubes of one telescope: all joints between them slide along one line.
+    /// Such tubes lie within each other by design, and the joints' limits keep them apart.
+    pub fn is_telescope(&self, one: usize, two: usize) -> bool {
+        let Some(between) = self.joints.get(one..two) else { return false };
+        let mut turn = DMat3::IDENTITY;
+        let mut first = None;
+        between.iter().all(|joint| {
+            turn *= joint.origin_rotation;
+            let axis = turn * joint.axis;
+            joint.slides && axis.dot(*first.get_or_insert(axis)) > 0.999_999
+        })
+    }
+
     /// Returns the frames of the joints, and of the flange last, in the arm's base frame.
     /// Frames of joints that the arm does not have equal the flange's.
     pub fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
@@ -164,9 +179,10 @@ impl SerialArm {
         poses
     }
 
-    /// Returns an equivalent pose whose continuous joints are close to their current angles, so that the path is short.
-    /// Joints never turn by more than one revolution in either direction, because descriptions of such arms end there.
-    /// One such description is ros2_kortex's.
+    /// Returns an equivalent pose whose continuous joints are close to their current angles.
+    /// The path is therefore short.
+    /// Joints never turn by more than one revolution in either direction.
+    /// Descriptions of such arms (for example ros2_kortex's) end there.
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -187,7 +203,7 @@ impl SerialArm {
     /// Checks whether all values are within the limits.
     ///
     /// # Errors
-    /// The error names the first joint that is not within its limits.
+    /// Returns an error that names the first joint that is not within its limits.
     pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
         for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
             let name = || joint.name.clone();
@@ -207,7 +223,7 @@ impl SerialArm {
     /// Returns the limits with scaled speeds and accelerations (0 to 1; the paper uses 0.1 and 0.05).
     /// Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
-        // A missing joint never moves, but its limits must not be zero because they are used as divisors.
+        // A missing joint never moves. Its limits must not be zero, because they are used as divisors.
         let mut limits = JointLimits {
             velocity_rad_s: [1.0; JOINTS],
             acceleration_rad_s2: [1.0; JOINTS],
@@ -220,19 +236,23 @@ impl SerialArm {
         limits
     }
 
-    /// Returns how far the flange's position is beyond the arm's reach, as if the middle joints could stretch freely.
+    /// Returns how far the flange's position is beyond the arm's reach.
+    /// The reach is calculated as if the middle joints could stretch freely.
     /// If the result is 0 or less, the position may be within reach.
     /// The function also detects positions whose orientation turns the last link away.
     ///
-    /// The flange's pose determines the last joint's origin and axis, and therefore the circle of the previous joint.
-    /// The arm's base determines the circle of the second joint. The chain is never longer than the sum of its parts.
+    /// The flange's pose determines the last joint's origin and axis.
+    /// Together, they determine a circle on which the previous joint lies.
+    /// In the same way, the arm's base determines a circle on which the second joint lies.
+    /// The chain is never longer than the sum of its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
         // For an arm with a sliding joint, no position is refused in advance.
         if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
-        // This step reverses the flange's own offset, which determines the last joint's axis but not its angle.
+        // This step reverses the flange's own offset,
+        // which determines the last joint's axis but not its angle.
         let last_turn = flange.rotation * self.flange_rotation.transpose();
         let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
         // This vector leads from the previous joint to the last one, in the last joint's own axes.
@@ -249,9 +269,9 @@ impl SerialArm {
         hand_m.distance(shoulder_m) - length_m
     }
 
-    /// Returns, for each joint, the maximum distance in m from its origin to any point of the arm beyond it.
+    /// Returns, for each joint, the maximum distance in m from its origin to any further point of the arm.
     /// A turn by an angle moves no point further than the angle times this distance.
-    /// For a sliding joint, the value is 1, because each point moves exactly as far as the joint.
+    /// For a sliding joint, the value is 1, because each point moves as far as the joint does.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }
@@ -294,6 +314,22 @@ mod tests {
     }
 
     #[test]
+    fn only_links_that_slide_along_one_line_are_a_telescope() {
+        let mut arm = SerialArm::gen3();
+        for joint in &mut arm.joints[2..5] {
+            (joint.slides, joint.origin_rotation, joint.axis) = (true, DMat3::IDENTITY, DVec3::X);
+        }
+        assert!(arm.is_telescope(2, 4) && arm.is_telescope(2, 5) && arm.is_telescope(3, 5));
+        assert!(!arm.is_telescope(1, 3) && !arm.is_telescope(4, 6), "a joint between them turns");
+        arm.joints[3].axis = DVec3::Y;
+        assert!(!arm.is_telescope(2, 4) && !arm.is_telescope(3, 5), "along two lines");
+        arm.joints[3].axis = DVec3::X;
+        arm.joints[3].origin_rotation = DMat3::from_rotation_z(0.1);
+        assert!(!arm.is_telescope(2, 4));
+        assert!(!arm.is_telescope(6, 9), "there is no such link");
+    }
+
+    #[test]
     fn no_point_moves_further_than_the_levers_say() {
         let arm = SerialArm::gen3();
         let lever = arm.lever_m();
@@ -319,7 +355,7 @@ mod tests {
             nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
         }
         assert!(nearest_m <= 1e-12, "{nearest_m}");
-        // If the arm points straight up, it can hardly stretch further.
+        // An arm that points straight up can hardly stretch further.
         let mut straight = arm.flange_pose(&[0.0; JOINTS]);
         assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
         straight.position_m.z += 0.01;
@@ -334,7 +370,8 @@ mod tests {
     fn joints_without_end_take_the_short_way_and_end_within_one_turn() {
         use host_robot::Trajectory;
         let arm = SerialArm::gen3();
-        // Joint 1 is at 3.1 rad, and at -3.1 in the pose: the difference is 0.083 rad, not 6.2 rad and 44.7 s.
+        // Joint 1 is at 3.1 rad, and at -3.1 in the pose.
+        // The difference is 0.083 rad, and not 6.2 rad, which would take 44.7 s.
         let (mut here, mut goal) = (arm.home_rad, arm.home_rad);
         (here[0], goal[0]) = (3.1, -3.1);
         let there = arm.unwound(&goal, &here);
@@ -344,7 +381,8 @@ mod tests {
         // Joint 2 has limits and does not change.
         (here[1], goal[1]) = (2.2, -2.2);
         assert_eq!(arm.unwound(&goal, &here)[1], -2.2);
-        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so the joint turns back instead.
+        // From 6.0 rad, the shortest path to 0.5 rad would end at 6.78 rad.
+        // This is more than one turn, so the joint turns back instead.
         (here[0], goal[0]) = (6.0, 0.5);
         assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
         // An arm that has already turned beyond one revolution does not turn further.

@@ -1,4 +1,4 @@
-//! Arm motions and named poses, as data: the paper's six are bundled, and scenes and configurations can add more.
+//! Arm motions and named poses, as data: the paper's six, and those of scenes and configurations.
 //!
 //! ```toml
 //! [[motion]]
@@ -18,18 +18,19 @@
 //! joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
 //! ```
 //!
-//! Positions are those of the tool's point, relative to the point on the floor between the wheels: x forward, y left,
-//! z up.
-//! Moves and turns are straight lines unless `straight = false`; positions are reached freely unless `straight = true`.
+//! The origin of the tool's positions is on the floor between the wheels: x forward, y left, z up.
+//! By default, moves and turns are straight lines, and positions are reached freely; `straight` changes this.
 //! The straight steps directly before and after a gripper step may touch the object and its support.
 //!
-//! A pose is also a motion: `--map wave="above the cup"`. A later pose replaces an earlier one with the same name.
+//! A pose is also a motion: `--map wave="above the cup"`.
+//! A later pose replaces an earlier pose with the same name.
 //! A pose with the name of a motion replaces that motion's steps.
 
 use host_robot::shape::Point;
 use host_robot::{DMat3, DQuat, Joints, MotionName, Pose};
 use serde::{Deserialize, Serialize};
 
+use crate::frame::Frame;
 use crate::model::SerialArm;
 
 /// The paper's motions and the Gen3's poses for them.
@@ -82,6 +83,12 @@ pub struct StepTable {
     /// The maximum force of the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
+    /// The place is seen from this object of the scene, or from the thing whose pose this topic has; see [`crate::frame`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
+    /// Maximum age of the pose on a topic when the motion begins.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub age_max_s: Option<f64>,
     /// The arm rests for this time in s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait_s: Option<f64>,
@@ -103,22 +110,22 @@ pub enum GripTable {
 pub enum Grasp {
     /// Opens the gripper completely.
     Open,
-    /// Close until an object is held or the gripper is closed.
+    /// Closes until an object is held or the gripper is fully closed.
     Close,
-    /// Open a closed gripper, and close an open one.
+    /// Opens a closed gripper, and closes an open gripper.
     Toggle,
 }
 
-/// Motions that every robot with a gripper has.
+/// Names of motions that every robot with a gripper has.
 const GRASPS: [(&str, Grasp); 3] =
     [("open-gripper", Grasp::Open), ("close-gripper", Grasp::Close), ("toggle-gripper", Grasp::Toggle)];
 
-/// Returns whether this is the name of a motion that every robot with a gripper has.
+/// Returns whether this name denotes a motion that every robot with a gripper has.
 pub fn is_grasp(name: &str) -> bool {
     GRASPS.iter().any(|(known, _)| *known == name)
 }
 
-/// Maximum number of steps, because a complete motion is planned before it starts.
+/// Maximum number of steps. The limit exists because all steps are planned before the motion starts.
 const STEPS_MAX: usize = 32;
 /// Maximum duration of a waiting step.
 const WAIT_MAX_S: f64 = 60.0;
@@ -183,7 +190,7 @@ pub enum MotionError {
     /// The name is taken.
     #[error("motion '{0}' is there twice; give each its own name")]
     Twice(String),
-    /// The name almost equals a bundled one, but would not replace it.
+    /// The name almost equals a bundled pose's name, but would not replace that pose.
     #[error("pose '{name}' replaces nothing; '{meant}' would: name it so, or quite otherwise")]
     Slip {
         /// As given.
@@ -208,10 +215,12 @@ pub enum Step {
     To(Joints),
     /// The next of these poses each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
-    /// A position of the tool's point, relative to the point on the floor between the wheels.
+    /// A position of the tool's point, relative to the point on the floor between the wheels, or to a thing.
     Tool {
         /// Place and orientation.
         pose: Pose,
+        /// The thing, if there is one.
+        frame: Option<Frame>,
         /// In a straight line.
         straight: bool,
     },
@@ -288,7 +297,7 @@ fn plain(name: &str) -> String {
 impl Motions {
     /// The paper's motions on the Gen3.
     pub fn paper() -> Self {
-        // The test `the_papers_motions_read` checks our own file.
+        // A test (`the_papers_motions_read`) checks this bundled file.
         Motions::new(&SerialArm::gen3(), &[], &[], &[]).unwrap_or_else(|error| panic!("{error}"))
     }
 
@@ -389,6 +398,9 @@ impl Motions {
         if table.straight.is_some() && !(place || moves) {
             return Err("straight belongs to position_m, move_m, move_tool_m or turn_rad".to_owned());
         }
+        if (table.frame.is_some() && !place) || (table.age_max_s.is_some() && table.frame.is_none()) {
+            return Err("frame belongs to position_m, and age_max_s to a frame that is a topic".to_owned());
+        }
         if table.effort_n.is_some() && table.gripper.is_none() {
             return Err("effort_n belongs to gripper".to_owned());
         }
@@ -431,7 +443,8 @@ impl Motions {
                 return Err("position_m or quaternion_wxyz is no place".to_owned());
             }
             let pose = Pose { position_m, rotation: DMat3::from_quat(turn.normalize()) };
-            return Ok(Step::Tool { pose, straight: table.straight.unwrap_or(false) });
+            let frame = table.frame.as_ref().map(|name| Frame::read(name, table.age_max_s)).transpose()?;
+            return Ok(Step::Tool { pose, frame, straight: table.straight.unwrap_or(false) });
         }
         let (own, way_m) = match (table.move_m, table.move_tool_m) {
             (Some(_), Some(_)) => return Err(KINDS.to_owned()),
@@ -449,6 +462,11 @@ impl Motions {
         }
         let turn = DMat3::from_quat(DQuat::from_scaled_axis(turn));
         Ok(Step::Move { way_m, own, turn, straight: table.straight.unwrap_or(true) })
+    }
+
+    /// Returns the motions without the poses.
+    pub(crate) fn all(&self) -> &[Motion] {
+        &self.motions
     }
 
     /// Every pose, in rad.

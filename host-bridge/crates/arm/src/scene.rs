@@ -85,7 +85,8 @@ pub struct Scene {
     /// The robot's profile for the driver of a real robot; this crate does not interpret it.
     #[serde(default)]
     pub ros2: toml::Table,
-    /// The bundled hands that `demo` plays in this scene; none means those of the paper's six motions.
+    /// The bundled hands that `demo` plays in this scene.
+    /// An empty value selects the hands for the paper's six motions.
     #[serde(default)]
     pub demo: Option<String>,
 }
@@ -110,7 +111,7 @@ pub struct BaseTable {
     pub mount_m: Point,
 }
 
-/// Minimum jerk limit, with which a stop from full speed at the paper's scaling takes about a second.
+/// Minimum jerk limit. With it, a stop from full speed at the paper's scaling takes about a second.
 pub const JERK_MIN_RAD_S3: f64 = 0.5;
 
 /// Permitted radii of an arm's links.
@@ -181,7 +182,8 @@ pub struct ArmTable {
     pub jerk_limited: bool,
     /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
-    /// Minimum distance of plans from all obstacles at checked configurations; half of it applies between them.
+    /// Minimum distance of plans from all obstacles at checked configurations.
+    /// Between these configurations, half of this margin applies.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
@@ -189,7 +191,7 @@ pub struct ArmTable {
     pub urdf: Option<PathBuf>,
     /// Folders that contain the packages of the arm's meshes, relative to the scene file.
     pub packages: Vec<PathBuf>,
-    /// First link of that arm, which defines the arm's frame; none means the robot's first link.
+    /// First link of that arm, which defines the arm's frame. `None` selects the robot's first link.
     pub root: Option<String>,
     /// Last link of that arm, required if the file has several tips.
     pub tip: Option<String>,
@@ -252,7 +254,8 @@ pub struct NamedPose {
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
-    /// Position of the tool's point (without a tool: of the flange), relative to the robot's start on the floor.
+    /// Position of the tool's point, or of the flange if there is no tool.
+    /// The position is relative to the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,
@@ -300,7 +303,8 @@ impl Scene {
     /// Parses a scene and checks every value.
     ///
     /// # Errors
-    /// The problem, with line and column for the format, or the name of the table for a value.
+    /// Returns the problem. For an error of format, it contains the line and the column.
+    /// For an invalid value, it contains the name of the table.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let scene: Scene = toml::from_str(text)?;
         scene.check().map_err(SceneError::Value)?;

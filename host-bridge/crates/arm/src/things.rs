@@ -1,4 +1,5 @@
-//! Objects of a scene that can be gripped: their positions, the object between the fingers, and the held object.
+//! Objects of a scene that can be gripped.
+//! The module knows their positions, the object between the fingers, and the held object.
 //!
 //! ```toml
 //! [[object]]
@@ -46,7 +47,7 @@ impl ObjectTable {
     /// Checks that all values are valid.
     ///
     /// # Errors
-    /// The invalid value, given by its name.
+    /// Returns a text that names the object and the valid values.
     pub fn check(&self) -> Result<(), String> {
         let is_length = |m: f64| m.is_finite() && m > 0.0 && m <= 2.0;
         let sound = match (self.radius_m, self.size_m) {
@@ -146,7 +147,7 @@ pub enum ObjectPose {
 }
 
 impl ObjectPose {
-    /// Returns the object's pose relative to the scene's origin, given the flange's pose.
+    /// Returns the object's pose relative to the scene's origin. `flange` is the pose of the flange.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
             ObjectPose::Stands(at) => *at,
@@ -328,6 +329,13 @@ pub fn in_scene(placement: Placement, mount_m: Point, on_arm: &Pose) -> Pose {
         rotation: DMat3::from_rotation_z(placement.heading_rad),
     };
     base.then(mount_m, DMat3::IDENTITY).then(on_arm.position_m, on_arm.rotation)
+}
+
+/// Converts a pose from the scene's frame to that of the point on the floor between the wheels.
+pub fn on_base(placement: Placement, in_scene: &Pose) -> Pose {
+    let turn = DMat3::from_rotation_z(-placement.heading_rad);
+    let from_m = in_scene.position_m - DVec3::new(placement.x_m, placement.y_m, 0.0);
+    Pose { position_m: turn * from_m, rotation: turn * in_scene.rotation }
 }
 
 fn is_above(shape: &UprightBox, point_m: Point) -> bool {

@@ -59,7 +59,8 @@ impl FingerShape {
         }
     }
 
-    /// Returns capsules for all positions. No point is further than half a step from its position in one of them.
+    /// Returns capsules for all positions of the finger.
+    /// No point is further than half a step from its place in one of these capsules.
     fn wherever(&self) -> impl Iterator<Item = Capsule> {
         let way_m = self.a_m.distance(self.closed_a_m).max(self.b_m.distance(self.closed_b_m));
         let steps = (way_m / WAY_M).ceil().max(1.0);
@@ -114,7 +115,7 @@ impl Tool {
     /// Combines several tables.
     ///
     /// # Errors
-    /// The tool that is invalid, with the reason.
+    /// Returns the name of the invalid tool, with the reason.
     pub fn new(tables: &[ToolTable]) -> Result<Self, String> {
         let Bundled { tool: bundled } =
             toml::from_str(BUNDLED).unwrap_or_else(|error| panic!("tools/bundled.toml: {error}"));

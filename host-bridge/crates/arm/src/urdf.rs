@@ -1,9 +1,12 @@
 //! Reads a serial arm from a URDF file (feature `urdf`, with the crate `urdf-rs`). Its joints turn or slide.
 //!
 //! Shapes of `<collision>` (boxes, cylinders, capsules and spheres) become capsules that enclose them.
-//! This includes links fixed to the arm beside its chain, and meshes that [`crate::urdf_meshes`] could read.
-//! Other meshes are reported ([`SerialArm::notes`]) and replaced by lines of a given radius to the next joints.
-//! A ball replaces them if no joint follows. Moving links without shapes are treated alike; fixed ones only add shapes.
+//! These shapes include links that are fixed to the arm beside its chain,
+//! and meshes that [`crate::urdf_meshes`] could read.
+//! Other meshes are reported ([`SerialArm::notes`]).
+//! For meshes that were not read, lines of a given radius lead to the next joints.
+//! If no joint follows, a ball replaces such a mesh.
+//! Moving links without shapes are treated alike; fixed links only add shapes.
 //! Links that move beside the chain are ignored, and this is reported.
 
 use super::model::{ArmJoint, SerialArm};
@@ -14,7 +17,7 @@ use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
 use urdf_rs::{Joint, JointType, Robot};
 
-/// No lift or rail of an arm is longer; angles beyond this value would count as whole turns elsewhere.
+/// No lift or rail of an arm is longer. Angles above this value would be taken for whole turns elsewhere.
 const SLIDE_MAX_M: f64 = 3.0;
 
 /// Settings that a URDF file does not contain.
@@ -26,14 +29,14 @@ pub struct Missing {
     pub tip: Option<String>,
     /// Radius of the lines that replace links without simple shapes.
     pub link_radius_m: f64,
-    /// Acceleration of joints for which the file specifies none (URDF 1.2 permits one).
+    /// Acceleration of joints for which the file gives no acceleration (URDF 1.2 permits one).
     pub acceleration_rad_s2: f64,
     /// Speed of continuous joints for which the file specifies no limits.
     pub velocity_rad_s: f64,
 }
 
 impl Missing {
-    /// The options as a scene gives them.
+    /// Returns the options that a scene specifies.
     pub fn of(table: &ArmTable) -> Self {
         Missing {
             root: table.root.clone(),
@@ -59,7 +62,7 @@ pub enum UrdfError {
 /// Parses an arm. Its home pose is all zeros, or the closest values within the limits.
 ///
 /// # Errors
-/// The problem and the necessary change.
+/// Returns the problem and the necessary change.
 pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let kind = |text: String| UrdfError::Kind(text);
     if is_xacro(text) {
@@ -83,7 +86,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         notes: Vec::new(),
     };
     let mut shapes = Shapes::new(&robot, &chain, missing.link_radius_m);
-    // Whether the link of the last joint has its own shape that was read completely.
+    // Whether the last joint's link has its own shape that was read completely.
     let mut has_shape = true;
     // The current frame, relative to the last moving joint.
     let mut here = Pose::IDENTITY;
@@ -300,7 +303,7 @@ mod tests {
         text
     }
 
-    /// The same arm on a lift: its first joint slides down from its foot by 0.6 m.
+    /// The same arm on a lift, whose first joint slides down by 0.6 m from its foot.
     fn lift_urdf() -> String {
         gen3_urdf().replacen("type=\"continuous\"", "type=\"prismatic\"", 1).replacen(
             "lower=\"0\" upper=\"0\" effort=\"9\" velocity=\"1.3963\"",
@@ -358,7 +361,8 @@ mod tests {
         println!("{found} of 100 places found");
         assert!(found >= 95);
 
-        // The arm's foot hangs at 1.6 m, with a bar in front of it, and poses below and above.
+        // The arm's foot hangs at a height of 1.6 m, with a bar in front of it.
+        // One pose is below the bar and one above it.
         let scene = "[base]\nmount_m = [0.1, 0.0, 1.6]\n[[box]]\nname = \"bar\"\ncenter_m = [0.65, 0.0, 1.2]\nsize_m = [0.3, 1.0, 0.04]\n";
         let planner = Planner::new(arm, crate::scene::Scene::parse(scene).unwrap()).unwrap();
         let world = planner.world();
@@ -468,7 +472,7 @@ mod tests {
             .replace("<link name=\"link4\"/>", &format!("<link name=\"link4\">{mesh}{camera}</link>"))
             .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{camera}</link>"));
         let arm = parse(&text, &missing()).unwrap();
-        // Link 4 keeps the line for its mesh in addition to its small box, and so does link 7.
+        // Link 4 keeps its small box and a line in place of its mesh. The same is true of link 7.
         assert_eq!(arm.joints[3].shapes.len(), 2);
         assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
         assert_eq!(arm.joints[6].shapes.len(), 2);
@@ -498,7 +502,8 @@ mod tests {
         let arm = parse(&text, &Missing { tip: Some("flange".to_owned()), ..missing() }).unwrap();
         let line = |b_m: [f64; 3]| Capsule { a_m: DVec3::ZERO, b_m: b_m.into(), radius_m: 0.05 };
         let ball = |at: [f64; 3]| Capsule { a_m: at.into(), ..line(at) };
-        // The root's mesh becomes lines to the first joint and to its fixed link, whose own mesh becomes a ball.
+        // The root's mesh is replaced by lines to the first joint and to its fixed link.
+        // The mesh of that fixed link is replaced by a ball.
         assert_eq!(arm.foot, [line([0.0, 0.0, 0.15643]), line([0.0, 0.1, 0.0]), ball([0.0, 0.1, 0.0])]);
         // Link 2 has no shape of its own, so it has a line. The mast and its lamp follow.
         let [own, mast, lamp] = arm.joints[1].shapes.as_slice() else { panic!("{:?}", arm.joints[1].shapes) };
@@ -508,7 +513,7 @@ mod tests {
             (half_m - 0.15).abs() < 1e-12 && mast.a_m.lerp(mast.b_m, 0.5).abs_diff_eq(0.1 * DVec3::Y, 1e-12)
         );
         assert_eq!(*lamp, ball([0.0, 0.2, 0.0]));
-        // The flange's mesh becomes a line to the start of the finger, which moves independently.
+        // A line replaces the flange's mesh. It leads to the start of the finger, which moves independently.
         assert_eq!(arm.joints[6].shapes.len(), 2, "{:?}", arm.joints[6].shapes);
         let [meshes, moving] = arm.notes.as_slice() else { panic!("{:?}", arm.notes) };
         assert!(meshes.contains("base, bumper, lamp, flange") && meshes.contains("50 mm"), "{meshes}");

@@ -17,15 +17,16 @@ use host_robot::DVec3;
 pub struct Alone {
     /// The URDF.
     pub text: String,
-    /// The number of meshes that were read, and notes for users about those that were not.
+    /// The number of meshes that were read, and notes for users about meshes that were not read.
     pub notes: Vec<String>,
 }
 
 /// Replaces the meshes of the arm's links, and of all links fixed to them, by hulls.
-/// `read` returns a mesh by its name in the file, or the reason for a failure. A failed mesh stays and gets a note.
+/// `read` returns a mesh by its name in the file, or the reason for a failure.
+/// A failed mesh stays and gets a note.
 ///
 /// # Errors
-/// The errors of [`crate::urdf::parse`] about the joints from root to tip.
+/// Returns the errors of [`crate::urdf::parse`] about the joints from root to tip.
 pub fn stand_alone(
     text: &str,
     missing: &Missing,
@@ -123,7 +124,8 @@ mod tests {
         }
     }
 
-    /// The arm has a lift, an endless joint and one within soft limits; beside it, a lamp is fixed and a finger moves.
+    /// The arm has a lift, an endless joint, and a joint within soft limits.
+    /// Beside the chain, a lamp is fixed and a finger moves.
     const ARM: &str = r#"<robot name="three"><link name="foot"/>
         <joint name="lift" type="prismatic"><origin xyz="0 0 0.2" rpy="0.1 -0.2 0.3"/><parent link="foot"/><child link="a"/>
         <axis xyz="0 0 2"/><limit lower="-0.1" upper="0.5" effort="9" velocity="0.2"/></joint>

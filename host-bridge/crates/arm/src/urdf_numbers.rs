@@ -1,6 +1,7 @@
 //! Checks that all numbers of a URDF are valid for geometry.
 //!
-//! A NaN or a negative radius would silently disable the collision check, because every comparison with it is false.
+//! A NaN or a negative radius would silently disable the collision check.
+//! Every comparison with such a value is false.
 
 use urdf_rs::{Collision, Geometry, Joint, Pose, Robot};
 

@@ -5,7 +5,7 @@ use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, Pose};
 use urdf_rs::{Collision, Geometry, Joint, JointType, Robot};
 
-/// Reads shapes of links, and records the ones that were not read.
+/// Reads shapes of links, and records the shapes that were not read.
 pub struct Shapes<'r> {
     robot: &'r Robot,
     chain: &'r [&'r Joint],
@@ -34,8 +34,8 @@ impl<'r> Shapes<'r> {
         !own.is_empty() && !own.iter().any(is_mesh)
     }
 
-    /// Returns shapes of a chain's link at this frame, and of all links fixed to it beside the chain.
-    /// A line along the chain replaces the meshes of a link that `moves` in any case.
+    /// Returns the shapes of a chain's link at this frame, and of all links fixed to it beside the chain.
+    /// If the link `moves`, a line along the chain always replaces its meshes.
     pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> (Vec<Capsule>, Vec<Solid>) {
         let mut found = Found::default();
         self.collect(link, here, moves, &mut found);
@@ -148,7 +148,7 @@ impl Found {
         if let Geometry::Mesh { filename, .. } = &collision.geometry {
             if let Some(points) = hull_points(filename) {
                 self.capsules.extend(crate::hull::capsules(&points).iter().map(|c| c.seen_from(&pose)));
-                self.solids.push(Solid { points_m: points, radius_m: 0.0 }.seen_from(&pose));
+                self.solids.push(Solid::around(&points).seen_from(&pose));
             }
             return;
         }

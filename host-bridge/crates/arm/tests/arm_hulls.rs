@@ -1,8 +1,9 @@
 //! Checks that the Gen3's capsules and the bundled tools enclose the makers' meshes.
 //!
 //! The test contains a few vertices that are far from each capsule's line.
-//! Hulls of the complete meshes may be available (`../shared/data/arm-hulls`, not part of this project).
-//! In this case, the test checks all their vertices.
+//! Hulls of the complete meshes may be available in `../shared/data/arm-hulls`.
+//! The folder `../shared` is not part of this project.
+//! If these hulls are available, the test checks all their vertices.
 
 use std::path::Path;
 
@@ -11,8 +12,8 @@ use host_arm::tool::{Tool, ToolTable};
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3};
 
-/// Vertices of kortex_description's meshes with the largest distances from the capsules' lines, in the links' frames,
-/// in m.
+/// Vertices of kortex_description's meshes with the largest distances from the capsules' lines.
+/// Coordinates are in the links' frames, in m.
 const GEN3: [(&str, [[f64; 3]; 5]); 8] = [
     (
         "base_link",
@@ -166,7 +167,8 @@ fn the_vision_module_is_within_its_tool() {
     }
 }
 
-/// Returns rotation and origin of the gripper's parts on the side of +x, with its driven joint at this angle.
+/// Returns the rotation and the origin of the gripper's parts on the side of +x.
+/// The gripper's driven joint is at this angle.
 fn finger_parts(angle_rad: f64) -> [(&'static str, DMat3, DVec3); 4] {
     // About 0 -1 0.
     let turn = DMat3::from_rotation_y(-angle_rad);
@@ -190,7 +192,7 @@ fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
         let out_mm = 1000.0 * furthest_out_m(&tool.shapes(Some(0.085)), &points);
         assert!(out_mm < 0.0, "base: {out_mm} mm");
     }
-    // The inner side of the pad in the fingertip's frame; it meets the opposite pad when the gripper is closed.
+    // The inner side of the pad in the fingertip's frame. The two pads meet when the gripper is closed.
     const PAD_M: f64 = 0.0253;
     for step in 0..=20 {
         let angle_rad = 0.8 * f64::from(step) / 20.0;

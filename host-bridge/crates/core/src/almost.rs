@@ -1,7 +1,8 @@
 //! Detects gestures that were nearly recognised, so that wearers can learn how to draw them.
 //!
 //! The board decides, and sends its scores with every hop.
-//! If the score of a gesture rises and falls without an event, this module reports the gesture and its best score.
+//! If the score of a gesture rises and falls without an event,
+//! this module reports the gesture and its best score.
 //! The report has no other effect.
 
 use std::collections::VecDeque;
@@ -10,9 +11,9 @@ use crate::intent::is_rest;
 
 /// Number of hops for averaging scores, as on boards with six or more axes.
 const AVERAGE_HOPS: usize = 4;
-/// Minimum mean probability for a report. The board itself requires one half.
+/// Minimum mean probability for a report. The board itself requires a mean of one half.
 const NEARLY: f32 = 0.4;
-/// A rise ends when no gesture is above this value, and the next one may begin.
+/// A rise ends when no gesture is above this value. Then the next rise may begin.
 const OVER: f32 = 0.25;
 
 /// Watches the right hand's scores.
@@ -35,7 +36,7 @@ enum Rise {
 
 impl Almost {
     /// Adds the scores of a hop, one per label, and whether the board detected a gesture in it.
-    /// Returns the label and its best mean probability once if a gesture was nearly recognised.
+    /// Returns the label and its best mean probability once, if a gesture was nearly recognised.
     pub(crate) fn see(
         &mut self,
         labels: &[String],
@@ -61,7 +62,7 @@ impl Almost {
                 Rise::None | Rise::Told => Rise::None,
             },
             Rise::Nearest(_, best) if mean > best => Rise::Nearest(label, mean),
-            // The scores fall, so the movement has ended, and the board would have reported the gesture by now.
+            // The scores fall, so the movement has ended. The board would have reported the gesture by now.
             Rise::Nearest(label, best) if mean < best / 2.0 => {
                 self.rise = Rise::Told;
                 return Some((label, best));
@@ -72,7 +73,7 @@ impl Almost {
         None
     }
 
-    /// The gesture that is near now, and its best probability. No report about this rise has been made yet.
+    /// Returns the gesture that is near now and its best probability, if this rise has not been reported yet.
     pub(crate) fn near(&self) -> Option<(usize, f32)> {
         match self.rise {
             Rise::Nearest(label, best) => Some((label, best)),
@@ -97,7 +98,8 @@ mod tests {
         ["idle", "circle", "wave", "other"].map(str::to_owned).to_vec()
     }
 
-    /// Returns the reports for these probabilities of `circle`, if the board detects a gesture in hop number `fires`.
+    /// Returns the reports for these probabilities of `circle`.
+    /// If `fires` is given, the board detects a gesture in that hop.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();
@@ -131,7 +133,7 @@ mod tests {
                 almost.near().map(|(_, best)| best)
             })
             .collect();
-        // The mean of four hops exceeds 0.4 with the third one of 0.6.
+        // The mean of four hops exceeds 0.4 at the third hop with 0.6.
         assert_eq!(near.iter().position(Option::is_some), Some(8), "{near:?}");
         assert!((near[11].unwrap() - 0.6).abs() < 1e-6, "{near:?}");
         assert_eq!(near.last(), Some(&None));

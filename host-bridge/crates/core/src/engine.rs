@@ -1,7 +1,8 @@
 //! The engine of all sessions: receive, decide, act, observe, always in this order.
 //!
 //! The engine is sans-IO: its inputs are bytes and the time.
-//! Three drivers use it: virtual time ([`crate::session`]), the wall clock (the program's control thread),
+//! Three drivers use the engine:
+//! virtual time ([`crate::session`]), the wall clock (the program's control thread),
 //! and session files (`replay`).
 //!
 //! ```text
@@ -25,7 +26,8 @@ use crate::source::{HandKey, Source};
 
 /// Interval at which unacknowledged settings are sent again.
 const SET_UP_INTERVAL_MS: u64 = 1000;
-/// The engine's own requests are numbered from 1 up, one for each start of a board; those of others from here on.
+/// The engine numbers its own requests from 1. The numbers start again after each start of a board.
+/// Requests of other programs have this number or a higher one.
 pub const FOREIGN_REQUESTS: u16 = 0x4000;
 
 /// See the module documentation. `'b` is the lifetime of the data that its hands borrow.
@@ -44,7 +46,7 @@ pub struct Engine<'b, D> {
     /// Labels of gestures that mark episodes.
     marks: Vec<(String, Mark)>,
     episodes: Tally,
-    /// Marks and what the wearer was told, to be shown with the next turn.
+    /// Marks and messages to the wearer, which are shown in the next turn.
     marked: Vec<SessionEvent>,
     tap: Tap,
 }
@@ -177,35 +179,37 @@ impl<'b, D: Door> Engine<'b, D> {
         self.door.send();
     }
 
-    /// The wearer begins to show gestures that are to be learnt (or ends it): meanwhile none has an effect.
+    /// Begins or ends the time in which the wearer shows gestures for training.
+    /// Meanwhile, no gesture has an effect.
     pub fn show_key(&mut self, is_shown: bool, now_ms: u64) {
         let key = if is_shown { OperatorKey::Show } else { OperatorKey::Shown };
         self.tap.show(|observer| observer.operated(now_ms, key));
         self.bridge.show_key(is_shown);
     }
 
-    /// What the right hand's wearer is asked from now on.
+    /// Sets the request to the right hand's wearer.
     pub fn set_prompt(&mut self, prompt: Option<Prompt>) {
         self.bridge.set_prompt(prompt);
     }
 
-    /// The wearer is told something, with the next turn.
+    /// Shows a message to the wearer in the next turn.
     pub fn tell_wearer(&mut self, text: String, now_ms: u64) {
         self.marked.push(SessionEvent::Wearer { time_ms: now_ms, text });
     }
 
-    /// Whether a hand's board has acknowledged all that it is told at its start.
+    /// Returns whether a hand's board has acknowledged all settings that it receives at its start.
     pub fn is_set_up(&self, hand: Hand) -> bool {
         self.set_ups[hand].is_none()
     }
 
-    /// Sends a hand's board something that the session itself does not need. `request` in it must be one that the engine
-    /// does not use: [`FOREIGN_REQUESTS`] and more.
+    /// Sends a hand's board a message that the session itself does not need.
+    /// Its `request` must be a number that the engine does not use:
+    /// [`FOREIGN_REQUESTS`] or higher.
     pub fn send_to(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {
         self.send(hand, message, now_ms);
     }
 
-    /// The clutch's key: lends the left hand to the arm, or takes it back.
+    /// Processes the clutch's key, which lends the left hand to the arm or takes it back.
     pub fn clutch_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Clutch));
         self.bridge.clutch_key(now_ms, &mut self.door);
@@ -240,7 +244,8 @@ impl<'b, D: Door> Engine<'b, D> {
         }
         self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
         self.bridge.step(now_ms, &mut self.door);
-        // Now the robot knows the time, and whatever halts in this turn has thrown the plan away.
+        // The robot now knows the time.
+        // If anything has halted in this turn, the plan has already been discarded.
         if self.door.plan_is_ready() {
             self.tap.show(|observer| observer.turned(Turn::Planned));
             self.door.begin_planned();
@@ -262,11 +267,11 @@ impl<'b, D: Door> Engine<'b, D> {
     }
 
     /// Advances the time to `now_ms`; call it every few milliseconds.
-    /// `ready` are the hands whose links accept bytes now.
+    /// `ready` lists the hands whose links accept bytes now.
     /// Returns the events. Data to be sent waits in [`Engine::take_outgoing`].
     pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
         let ready = ready.into();
-        // The robot moves first, because after a pause of this program it has stopped by itself.
+        // The robot moves first. After a long suspension of this program, it has already stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
         for hand in Hand::BOTH {
@@ -368,7 +373,8 @@ impl<'b, D: Door> Engine<'b, D> {
         let mut wire = Vec::new();
         match &mut self.sources[hand] {
             Source::Nobody => {}
-            // The delimiter terminates noise on the line. Without answers to pings, nothing arms.
+            // The delimiter terminates any noise on the line.
+            // Without answers to pings, the bridge is never armed.
             Source::Link(frames) => frames.push([&[DELIMITER], frame].concat()),
             Source::Here { hand, .. } => hand.receive(frame, now_ms, &mut wire),
         }

@@ -17,11 +17,11 @@ pub enum Mark {
     Begin,
     /// The episode ends and is kept.
     End,
-    /// The current or last episode failed and is discarded, and another one begins.
+    /// The current or last episode failed and is discarded. Another episode begins.
     Again,
-    /// The episode is good. If it is in progress, it ends.
+    /// The episode is good. An episode in progress ends.
     Good,
-    /// The episode is bad and discarded. If it is in progress, it ends.
+    /// The episode is bad and discarded. An episode in progress ends.
     Bad,
 }
 
@@ -107,7 +107,7 @@ pub enum Verdict {
 pub enum Told {
     /// One has begun.
     Begun(usize),
-    /// The episode with this number and duration has ended.
+    /// The episode with this number ended after this duration.
     Ended(usize, u64),
     /// The first episode was discarded, and the second has begun.
     Repeated(usize, usize),

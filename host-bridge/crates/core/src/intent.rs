@@ -175,7 +175,8 @@ impl MotionMap {
         self.entries.iter().find(|(known, _)| same_label(known, label)).map(|(_, motion)| motion)
     }
 
-    /// Removes entries whose motion this robot does not have. Another arm may have fewer than the paper's six.
+    /// Removes entries whose motion this robot does not have.
+    /// Another arm may have fewer motions than the paper's six.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
         self.entries.retain(|(_, motion)| knows(motion));
@@ -188,7 +189,7 @@ impl MotionMap {
         labels.iter().map(String::as_str).filter(idle).collect()
     }
 
-    /// Returns entries whose label is not in this list, which are mostly typing errors.
+    /// Returns entries whose label is not in this list. Most of them are typing errors.
     pub fn unknown_labels(&self, labels: &[String], mappings: &[String]) -> Vec<String> {
         let wanted = mappings.iter().filter_map(|m| m.split_once('=')).map(|(label, _)| label.trim());
         wanted.filter(|w| !labels.iter().any(|l| same_label(l, w))).map(str::to_owned).collect()

@@ -1,29 +1,33 @@
 //! The clutch: a gesture or a key lends the left hand to the arm, and takes it back.
 //!
-//! While it is lent, the base stands still, tilts move the tool in the plane and bends move it up and down. The right hand's
-//! rest is the dead-man: as soon as it does not rest, the arm brakes. Whatever halts the arm needs neutral of both hands
-//! before it moves again. Who has the left hand changes by the clutch, and is taken back by the operator's stop and by the
-//! end of the arm's motion; never by silence, doubt, a hand that starts anew or a robot that refuses for a while, after which
-//! the same hand would suddenly drive the base.
+//! While the left hand is lent, the base stands still, and tilts move the tool horizontally.
+//! Bends of the fingers move the tool up and down.
+//! The right hand's rest is the dead-man: as soon as that hand does not rest, the arm brakes.
+//! After every halt of the arm, both hands must be neutral before the arm moves again.
+//! Only three things return the left hand to the base.
+//! They are the clutch, the operator's stop, and the end of the arm's motion.
+//! Silence, doubt, a restarted hand or a temporary refusal by the robot never do.
+//! Otherwise, the same hand would suddenly drive the base.
 
 use host_robot::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::tilt::{Pointing, TiltDrive};
 
-/// How the clutch is moved, and how fast the tool follows.
+/// The controls of the clutch, and the speed of the tool.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JogRules {
-    /// A gesture of this label lends the left hand to the arm, and takes it back; empty = none does.
+    /// A gesture with this label lends the left hand to the arm, and takes it back.
+    /// An empty label disables this function.
     pub label: String,
-    /// This key does the same; empty = none does.
+    /// This key has the same effect as the label; an empty key disables it.
     pub key: String,
-    /// The tool's speed at a full tilt, in m/s. Tilts count as in `[drive]`, in proportion.
+    /// The tool's speed at full tilt, in m/s. Tilts have a proportional effect, as in `[drive]`.
     pub speed_m_s: f64,
-    /// Its speed up (a bend of the index finger) and down (of the middle finger), in m/s,
+    /// The tool's speed in m/s: up for a bend of the index finger, down for a bend of the middle finger.
     pub lift_m_s: f64,
-    /// and how long a bend lasts for. Bends add up; one of the other finger ends it.
+    /// Duration of the motion for one bend. Bends add up; a bend of the other finger ends the motion.
     pub bend_ms: u64,
 }
 
@@ -52,7 +56,7 @@ impl Default for JogRules {
     }
 }
 
-/// More bends than this are not remembered.
+/// Maximum number of bends that are remembered.
 const BENDS_WAITING_MAX: u64 = 4;
 
 /// Up or down, for some time.
@@ -63,8 +67,8 @@ pub(crate) struct Lift {
 }
 
 impl Lift {
-    /// Bends of the index finger move up, those of the middle finger down; of both in one state the order is unknown, and
-    /// nothing moves.
+    /// Bends of the index finger move the tool up, and bends of the middle finger move it down.
+    /// If one state contains both, their order is unknown, and nothing moves.
     pub(crate) fn bend(&mut self, index: u8, middle: u8, bend_ms: u64, now_ms: u64) {
         let (count, up) = match (index, middle) {
             (0, 0) => return,
@@ -94,7 +98,7 @@ impl Lift {
     }
 }
 
-/// What the hand wants of the tool, in the arm's base frame (x forward, y left, z up).
+/// Returns the requested speed of the tool in the arm's base frame (x forward, y left, z up).
 pub(crate) fn tool_m_s(
     rules: &JogRules,
     drive: &TiltDrive,

@@ -14,7 +14,7 @@ pub struct Delays {
 pub struct DelaySummary {
     /// How many.
     pub count: usize,
-    /// The median (the upper of the two middle ones).
+    /// The median. For an even number of delays, it is the upper of the two middle values.
     pub median_ms: Option<u64>,
     /// The longest.
     pub worst_ms: Option<u64>,

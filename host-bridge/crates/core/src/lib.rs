@@ -1,4 +1,4 @@
-//! The way from bytes to decisions: links, safety, intents, the bridge and the engine.
+//! The path from bytes to decisions: links, safety, intents, the bridge and the engine.
 //! The crate is sans-IO: its inputs are bytes, events and the time, and its outputs are actions.
 //! The crate does not depend on files, sockets, clocks, arms or robots, except for [`host_robot::Door`].
 

@@ -170,7 +170,7 @@ pub struct HandLink {
     pinged: Option<(u32, u64)>,
     /// Round-trip time of the newest answered ping, and the time of its answer.
     round_trip: Option<(u64, u64)>,
-    /// Whether the board's clock has stepped back, so that nothing counts until a hello arrives.
+    /// Whether the board's clock has stepped back. From then on, all data is ignored until a hello arrives.
     restarted: bool,
 }
 
@@ -280,20 +280,20 @@ impl HandLink {
         self.round_trip.is_some_and(|(_, at_ms)| now_ms.saturating_sub(at_ms) < ANSWER_PATIENCE_MS)
     }
 
-    /// Returns whether the board has stopped answering pings for [`ANSWER_PATIENCE_MS`].
+    /// Returns whether the board has not answered any ping for [`ANSWER_PATIENCE_MS`].
     pub fn stopped_answering(&self, now_ms: u64) -> bool {
         self.round_trip.is_some() && !self.answers(now_ms)
     }
 
     /// Returns whether the newest round trip is recent and took less than `limit_ms`.
-    /// In addition, no later ping may have waited longer than this.
+    /// In addition, no later ping may have been unanswered for longer than this.
     pub fn is_prompt(&self, limit_ms: u64, now_ms: u64) -> bool {
         let waiting = self.pings.front().is_some_and(|&(_, sent)| now_ms.saturating_sub(sent) >= limit_ms);
         self.answers(now_ms) && !waiting && self.round_trip.is_some_and(|(took, _)| took < limit_ms)
     }
 
     fn pong(&mut self, pong: &Pong, now_ms: u64) {
-        // An answer is useless if a later one has overtaken it or if no ping matches.
+        // An answer is useless if a later answer has overtaken it, or if no ping matches.
         let Some(at) = self.pings.iter().position(|&(id, _)| id == pong.id) else { return };
         let Some((_, sent_ms)) = self.pings.drain(..=at).next_back() else { return };
         if self.clock.pong(pong.board_time_ms, sent_ms, now_ms) {
@@ -466,7 +466,7 @@ fn with_drift(board_ms: u64) -> u64 {
 }
 
 /// Removes characters from a board's text that a terminal would interpret.
-/// These are control characters and characters that change the writing direction.
+/// Such characters are control characters, and characters that change the writing direction.
 pub fn printable(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control()

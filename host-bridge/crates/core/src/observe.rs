@@ -34,7 +34,8 @@ use shared_words::Heading;
 
 /// Observes a session. The module documentation lists the rules.
 pub trait Observer {
-    /// Called with bytes from a hand's board, in the received portions, just before the bridge processes them.
+    /// Called with bytes from a hand's board, in the portions in which they arrive.
+    /// The call comes just before the bridge processes the bytes.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
 
     /// Called with a frame that is sent to a hand's board.
@@ -47,17 +48,19 @@ pub trait Observer {
     /// Called just before the bridge processes an operator's key or button.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
-    /// Called just before the bridge learns that the robot refuses to move, or with `None` when the refusal ends.
+    /// Called just before the bridge learns that the robot refuses to move.
+    /// When the refusal ends, the reason is `None`.
     fn refused(&mut self, _time_ms: u64, _reason: Option<&str>) {}
 
     /// Called when the session advances between inputs.
     /// Together with the bytes and keys, these calls are sufficient to replay the session in the same order.
     fn turned(&mut self, _turn: Turn) {}
 
-    /// Called for each event.
+    /// Called for each event of the session.
     fn happened(&mut self, _event: &SessionEvent) {}
 
-    /// Called with the state after each step: every millisecond in a played session, every turn in a live one.
+    /// Called with the state after each step.
+    /// The steps are every millisecond in a played session, and every turn in a live session.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
@@ -73,7 +76,7 @@ impl Tap {
         self.observers.push(observer);
     }
 
-    /// Removes all observers. Any data they still hold is passed on now at the latest.
+    /// Removes all observers. They must pass on any remaining data now.
     pub fn clear(&mut self) {
         self.observers.clear();
     }
@@ -114,7 +117,8 @@ pub enum Sample<'a> {
     },
     /// A sample of the right hand's IMU, converted to 100 Hz.
     Right {
-        /// Accelerometer in m/s², then (with 6 values) gyroscope in deg/s, then (with 9 values) magnetometer in µT.
+        /// Accelerometer in m/s²; with 6 values, also gyroscope in deg/s;
+        /// with 9 values, also magnetometer in µT.
         values: &'a [f32],
     },
 }
@@ -140,7 +144,7 @@ pub enum OperatorKey {
 /// The state of a session, borrowed.
 #[derive(Clone, Copy)]
 pub struct Now<'a> {
-    /// Time of the session (virtual if it is played).
+    /// Time of the session. In a played session, it is virtual.
     pub time_ms: u64,
     /// State of the links, hands, safety machine and caps.
     pub bridge: &'a Bridge,
@@ -151,7 +155,7 @@ pub struct Now<'a> {
 /// An owned copy of a session's changing state.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Snapshot {
-    /// Time of the session (virtual if it is played).
+    /// Time of the session. In a played session, it is virtual.
     pub time_ms: u64,
     /// State of the safety machine; `stopped` until the operator's stop is released.
     pub safety: State,
@@ -187,11 +191,13 @@ pub struct Snapshot {
     pub objects: Vec<SceneObject>,
     /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
-    /// Whether the left hand is lent to the arm. The hand then moves the tool while armed, and the base stands still.
+    /// Whether the left hand is lent to the arm.
+    /// The hand then moves the tool while armed, and the base stands still.
     pub jogging: bool,
     /// The reason why the tool does not follow the hand, or `None`.
     pub jog_held: Option<String>,
-    /// The reason why the robot itself refuses to move, if it does: its e-stop, a fault, or clocks that differ.
+    /// The reason why the robot itself refuses to move, or `None` if it does not refuse.
+    /// The cause may be its e-stop, a fault, or clocks that differ.
     pub refusal: Option<String>,
     /// The restriction of this session and its reason.
     pub restriction: Option<String>,
@@ -252,7 +258,7 @@ pub struct RightSnapshot {
     pub labels: Vec<String>,
     /// Newest probability of each label, 0 to 1; empty until the first window is full.
     pub scores: Vec<f32>,
-    /// The gesture that is nearly recognised, or was a moment ago.
+    /// The gesture that is nearly recognised, or was nearly recognised a moment ago.
     pub nearly: Option<Nearly>,
     /// The current request to the hand's wearer.
     pub prompt: Option<Prompt>,

@@ -88,7 +88,7 @@ impl<'b, D: Door> Session<'b, D> {
     pub fn finished(&self) -> bool {
         self.ended_ms.is_some_and(|ended_ms| {
             let passed_ms = self.now_ms - ended_ms;
-            // Rest counts only after the 250 ms of the dead-man.
+            // The robot counts as at rest only after the dead-man's 250 ms.
             passed_ms >= TAIL_MS || (passed_ms > 500 && self.at_rest())
         })
     }
@@ -193,7 +193,7 @@ impl<'b, D: Door> Session<'b, D> {
 pub struct Summary {
     /// Virtual time passed.
     pub seconds: f64,
-    /// Every gesture event in the order of occurrence.
+    /// All gesture events in the order of occurrence.
     pub gestures: Vec<GestureRecord>,
     /// Arm motions that reached their pose, in the order of occurrence.
     pub poses_reached: Vec<PoseRecord>,

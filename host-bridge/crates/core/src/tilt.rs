@@ -1,7 +1,7 @@
 //! Driving in proportion to the tilt, an alternative to the paper's four headings.
 //!
 //! As with the four headings, the board decides whether the base drives at all.
-//! A command starts with an intended tilt, and ends below the board's threshold, as with the headings.
+//! As with the headings, a command starts with an intended tilt, and ends below the board's threshold.
 //! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate.
 //! Together, the two tilts drive an arc.
 //! Silence, neutral, stops, caps and the guard work as with the four headings.
@@ -27,7 +27,7 @@ pub struct Pointing {
     pub tilt: Tilt,
 }
 
-/// A tilt must last for this many states before the speed increases, which is longer than a jolt.
+/// A tilt must last for this many states before the speed increases, which takes longer than a jolt.
 const STATES: usize = 3;
 
 /// The tilts of the newest valid states.
@@ -85,7 +85,8 @@ impl TiltDrive {
         angular_most: 1.0,
     };
 
-    /// Returns whether the dead zone is positive, a wrist can reach the full tilt, and no fraction is above 1.
+    /// Returns whether the dead zone is positive, and a wrist can reach the full tilt.
+    /// In addition, no fraction may be above 1.
     pub fn is_sound(&self) -> bool {
         (35..=349).contains(&self.dead_mrad)
             && self.full_mrad <= 1309
@@ -95,7 +96,8 @@ impl TiltDrive {
             && (0.05..=1.0).contains(&self.angular_most)
     }
 
-    /// Returns fractions of the caps for forward speed and left turns, each from -1 to 1; zero without a command.
+    /// Returns fractions of the caps for forward speed and left turns.
+    /// Each fraction is from -1 to 1. Without a command, both are zero.
     pub fn shares(&self, pointing: Pointing) -> (f64, f64) {
         if !pointing.heading.is_command() {
             return (0.0, 0.0);

@@ -1,10 +1,12 @@
 //! Tests the dead-man with millions of steps of a hostile link.
-//! An honest board is connected by a line that delays, repeats, swaps, damages and drops frames in both directions.
+//! An honest board is connected by a hostile line.
+//! The line delays, repeats, swaps, damages and drops frames in both directions.
 //! The board restarts, and the program sleeps.
 //!
 //! The test knows the true time of each sample, and checks after every step:
 //! * there is no command unless the bridge is armed,
-//! * a command is the heading of a sample that is no older than 250 ms (plus the current turn of the loop),
+//! * a command follows the heading of a sample that is at most 250 ms old,
+//!   plus the current turn of the loop,
 //! * the bridge arms only after at least three consecutive neutral samples that span 100 ms.
 
 mod support;
@@ -48,7 +50,8 @@ struct World {
     delay_ms: u64,
     /// The newest received sample of each heading.
     seen_ms: [u64; 6],
-    /// Neutral samples since the last other sample, oldest first, and the newest sample of all.
+    /// Neutral samples since the last non-neutral sample, oldest first.
+    /// The next field is the newest sample of any kind.
     neutral: Vec<u64>,
     newest_ms: u64,
     armed: u64,

@@ -1,4 +1,5 @@
-//! Checks that ages are upper bounds: for any delays of a link, no command older than 250 ms has an effect.
+//! Checks that ages are upper bounds.
+//! Whatever a link's delays are, no command older than 250 ms may have an effect.
 //!
 //! The test knows the true time of each sample, and compares it with the time at which the base moves.
 //! The whole test runs in virtual time.
@@ -187,7 +188,8 @@ fn pings_that_go_unanswered_for_500_ms_halt_a_hand_that_goes_on_talking() {
 
 #[test]
 fn a_link_that_becomes_slow_stops_within_its_limit_and_stays_stopped() {
-    // When the drift allowance reduced the age, five minutes at a delay of 1.5 s gave age zero after 129 s.
+    // When the drift allowance reduced the age, the test with a delay of 1.5 s failed.
+    // After 129 s of its five minutes, the age was zero.
     let up: Delay = |now| if now < 5000 { 5 } else { 1500 };
     for drift_ppm in [-50_000, 0, 50_000] {
         let mut street = Street::new(up, none, drift_ppm);
@@ -236,7 +238,7 @@ fn a_board_that_restarts_unseen_is_asked_who_it_is_before_anything_counts() {
     let mut street = Street::new(|_| 5, |_| 5, 0);
     street.hold(Heading::Neutral, 1000);
     street.hold(Heading::Forward, 500);
-    // The clock restarts, the hello is lost, and the next request is not answered either.
+    // The clock restarts, the hello is lost, and the board does not answer the next request either.
     street.drift_ppm = -900_000;
     street.hold(Heading::Neutral, 2000);
     street.hold(Heading::Forward, 2000);

@@ -7,10 +7,12 @@
 //! | `1` … `6` | right | the six gestures in the order of the labels |
 //!
 //! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
-//! Debouncing, the dead-man, the caps and the stop therefore apply to it too.
+//! Debouncing, the dead-man, the caps and the stop therefore apply to keyboard hands too.
 //! A terminal reports key presses and repeats, but no releases.
-//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat the key.
-//! Afterwards, the arrow counts for [`KeyTimes::repeat_ms`] after each repeat, and finally the hand is neutral again.
+//! An arrow is active for [`KeyTimes::first_press_ms`] after the press.
+//! By then, the terminal has begun to repeat the key.
+//! Afterwards, the arrow is active for [`KeyTimes::repeat_ms`] after each repeat.
+//! Finally, the hand is neutral again.
 
 use std::collections::VecDeque;
 
@@ -37,18 +39,18 @@ const HOP_SAMPLES: u32 = 8;
 
 /// Minimum time between steps, because a held key repeats up to thirty times per second.
 const STEP_INTERVAL_MS: u64 = 200;
-/// A bend counts once it has lasted for 120 ms, and the next one counts only after the finger was straight.
+/// A bend is valid once it has lasted for 120 ms. The next bend is valid only after the finger was straight.
 const BENT_MS: u64 = 140;
 /// Maximum number of steps that wait for the current one.
 const STEPS_WAITING: usize = 2;
 /// A board that has not run for this long was asleep. Its output would be late and is omitted.
 const ASLEEP_MS: u64 = 100;
 
-/// Durations for which a key counts, and the key that ends the arm's motion.
+/// Durations for which a key is active, and the key that ends the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyTimes {
-    /// Duration after the first press, slightly longer than the delay before terminals repeat a key.
+    /// Duration after the first press. It is slightly longer than the delay before terminals repeat a key.
     pub first_press_ms: u64,
     /// Duration after each repeat of the key.
     pub repeat_ms: u64,
@@ -90,10 +92,10 @@ pub struct KeyLeft {
     times: KeyTimes,
     board: VirtualLeft,
     periods: Periods,
-    /// The active arrow, and the time at which it expires.
+    /// The active arrow, and the time at which the arrow expires.
     held: Option<(Heading, u64)>,
     last_step_ms: Option<u64>,
-    /// Fingers to bend, each with the start time of its bend; the current one is first.
+    /// Fingers to bend, each with the start time of its bend. The current bend is first.
     steps: VecDeque<(Finger, u64)>,
     dither: u16,
 }
@@ -161,7 +163,7 @@ impl HandSource for KeyLeft {
                 let repeated = self.held.is_some_and(|(h, until)| h == heading && now_ms < until);
                 let first_ms = self.times.first_press_ms;
                 self.held = Some(match self.held {
-                    // A repeat never shortens the remaining time after the first press.
+                    // A repeat never shortens the time that remains after the first press.
                     Some((_, until)) if repeated => (heading, until.max(now_ms + self.times.repeat_ms)),
                     _ => (heading, now_ms + first_ms),
                 });

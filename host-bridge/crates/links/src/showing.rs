@@ -1,4 +1,5 @@
-//! A wearer shows each gesture a few times, and the board receives a model that was trained on them. Sans-IO.
+//! A wearer shows each gesture a few times.
+//! The board then receives a model trained on these gestures. Sans-IO.
 //!
 //! ```text
 //! Asking ─Ok─► Ready ⇄ Taking … ─► Back ─Ok─► Learning ─model─► Sending ─► Kept ─restart─► over
@@ -20,10 +21,11 @@ use crate::upload::{Stage, Upload};
 pub const TIMES: usize = 3;
 /// Duration of one take, counted from the word "now".
 const TAKE_MS: u64 = 3000;
-/// Time to get ready: the first for another gesture, the second for a repetition of the same one.
+/// Time to get ready.
+/// The first value is for another gesture, and the second value for a repetition of the same gesture.
 const READY_MS: u64 = 3000;
 const AGAIN_MS: u64 = 1200;
-/// A request without an answer is repeated after the first of these times, and fails after the second one.
+/// A request without an answer is repeated after the first of these times. It fails after the second one.
 const REPEAT_MS: u64 = 1000;
 const ANSWER_MS: u64 = 5000;
 /// If no samples come for this long, the board is not recording.
@@ -48,14 +50,14 @@ pub struct Showing {
     /// The number of the next request.
     request: u16,
     phase: Phase,
-    /// Start of the phase, and the time of the last request in it.
+    /// Start of the phase, and the time of the phase's last request.
     since_ms: u64,
     asked_ms: Option<u64>,
     shown: Shown,
     spoilt: u32,
     /// The problem with the last take.
     remark: Option<String>,
-    /// Whether the board is in record mode, as far as is known.
+    /// Whether the board is in record mode, as far as this program knows.
     records: bool,
 }
 
@@ -84,7 +86,8 @@ enum After {
 }
 
 impl Showing {
-    /// Asks for these gestures. `boot_id` identifies the board's start, and requests are numbered from `request`.
+    /// Creates a request for these gestures. `boot_id` identifies the board's start.
+    /// The requests are numbered from `request`.
     pub fn new(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
         let phase = if labels.is_empty() {
             Phase::Over("the model knows no gesture that could be shown".to_owned())
@@ -94,7 +97,7 @@ impl Showing {
         Showing { phase, ..Self::begin(labels, sample_hz, boot_id, request, now_ms) }
     }
 
-    /// Begins to send a model that was trained earlier to the board with this start.
+    /// Begins to send a model that was trained earlier. `boot_id` identifies the start of the board.
     pub fn sending(upload: Upload, boot_id: u32, now_ms: u64) -> Self {
         let phase = Phase::Sending { upload, reached: 0 };
         Showing { phase, ..Self::begin(Vec::new(), 0, boot_id, 0, now_ms) }
@@ -258,7 +261,7 @@ impl Showing {
             Phase::Taking { heard_ms, .. } if now_ms.saturating_sub(*heard_ms) > SILENCE_MS => {
                 self.cancel("no samples for 3 s; restart the board, and try again", now_ms);
             }
-            // After each start, `run` switches a board back from record mode.
+            // After each start, `run` ends the record mode of a board.
             Phase::Back(after) if passed_ms >= ANSWER_MS => {
                 let text = match after {
                     After::Learn => "the board did not go back to classifying".to_owned(),

@@ -136,7 +136,7 @@ mod tests {
                 survey.state(n as u16, 77 + (f64::from(n) * 20.1) as u32, at_ms);
             }
         }
-        // The very last state is lost too, but no later state reveals this.
+        // The very last state is lost too, but no later state shows this loss.
         assert!((survey.loss() - 49.0 / 499.0).abs() < 1e-9, "{}", survey.loss());
         assert!((survey.rate_hz().unwrap() - 45.0).abs() < 0.5);
         let (drift, error) = survey.drift_ppm().unwrap();

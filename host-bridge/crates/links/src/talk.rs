@@ -1,4 +1,5 @@
-//! Communicates with one board on one port, on behalf of `list`, `doctor`, `calibrate`, `record` and `send-model`.
+//! Communicates with one board on one port.
+//! The commands `list`, `doctor`, `calibrate`, `record` and `send-model` use this module.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,7 +15,7 @@ use host_core::link::printable;
 
 use crate::links::{Clock, EventReceiver, Link, News, SerialSettings, SystemClock, Waiter, is_ble, queue};
 
-/// A request is repeated after this long without an answer.
+/// A request without an answer is repeated after this time.
 const REPEAT_MS: u64 = 1000;
 
 /// Additional time for a board behind Bluetooth, which must first be found and connected.
@@ -35,7 +36,7 @@ pub enum Said {
     About(About),
     /// A left state.
     Left(LeftState),
-    /// A right state: sequence number, board time, label of the last event, and number of events.
+    /// A right state: sequence number, board time, label of the last event, number of events, and health.
     Right {
         /// A number that increases with each state.
         sequence: u16,
@@ -90,7 +91,7 @@ pub struct ModelNeeds {
     pub recipe: u8,
     /// Number of values per sample that the model needs.
     pub axes: u8,
-    /// Number of values per sample of the board; equal to the model's if the board reports no number.
+    /// Number of values per sample of the board. It equals the model's number if the board reports none.
     pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -152,7 +153,7 @@ pub enum TalkError {
     Refused {
         /// The port.
         port: String,
-        /// Text of the problem, as reported by the board.
+        /// The board's answer to the request.
         result: AckResult,
         /// The meaning of the answer and a remedy.
         advice: String,
@@ -179,6 +180,13 @@ pub fn advice(result: AckResult) -> &'static str {
         }
         AckResult::NotBonded => {
             "Bluetooth writes need pairing; pair in the system's settings, or use the cable"
+        }
+        AckResult::ImageRefused => {
+            "the board does not accept this image: it is for another board, or over Bluetooth its signature is not \
+             that of the key in the board"
+        }
+        AckResult::ImageWentBack => {
+            "the board went back to its old image, because the new one did not say hello before a restart"
         }
         AckResult::Unknown(_) => {
             "the board gave an answer that this version does not know; update host-bridge"
@@ -243,7 +251,7 @@ impl Talk {
         (counters.frames, counters.damaged())
     }
 
-    /// Returns whether bytes can be sent now, which is not the case soon after the port was opened.
+    /// Returns whether bytes can be sent now. This is not possible soon after the port was opened.
     pub fn is_ready(&self) -> bool {
         self.link.is_ready()
     }
@@ -260,7 +268,7 @@ impl Talk {
         self.request
     }
 
-    /// Waits for at most this long for the next event, and returns it with its time of arrival.
+    /// Waits for at most this long for the next event, and returns the event with its time of arrival.
     pub fn next(&mut self, patience_ms: u64) -> Option<(u64, Said)> {
         let until_ms = self.now_ms() + patience_ms;
         let mut asked = false;
@@ -400,7 +408,7 @@ impl Talk {
     }
 }
 
-/// A message without its borrowed parts; `None` if its content contradicts itself.
+/// Returns a message without its borrowed parts, or `None` if its content contradicts itself.
 pub(crate) fn owned(message: &BoardMessage<'_>) -> Option<Said> {
     Some(match message {
         BoardMessage::Hello(hello) => Said::Hello(Who {
@@ -457,7 +465,7 @@ struct TextHeard {
 }
 
 impl TextHeard {
-    /// This many consecutive characters without the byte that ends every frame count as text.
+    /// A run of this many characters without the byte that ends every frame counts as text.
     const LEAST: usize = 8;
 
     fn take(&mut self, bytes: &[u8]) {

@@ -1,4 +1,4 @@
-//! Sends a model to a board in pieces and processes the acknowledgements. Sans-IO.
+//! Sends a model, or a new image, to a board in pieces and processes the acknowledgements. Sans-IO.
 //!
 //! ```text
 //! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
@@ -7,12 +7,12 @@
 //! ```
 
 use shared_board::hand::model_info_on_the_wire;
-use shared_dsp::right::network::{Model, ModelError};
+use shared_dsp::right::network::{Model, ModelError, crc32};
 use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use crate::talk::{ModelNeeds, advice};
 
-/// A request is repeated after this long without an answer.
+/// A request without an answer is repeated after this time.
 const REPEAT_MS: u64 = 1000;
 /// `Begin` takes longer, because the board erases four pages of flash.
 const REPEAT_BEGIN_MS: u64 = 3000;
@@ -38,7 +38,9 @@ pub enum Stage {
 #[derive(Clone, Debug)]
 pub struct Upload {
     blob: Vec<u8>,
+    /// CRC-32 of the blob.
     model_id: u32,
+    is_image: bool,
     stage: Stage,
     request: u16,
     asked_ms: Option<u64>,
@@ -77,11 +79,29 @@ impl Upload {
     /// Returns [`ModelError`] if the bytes are not a model.
     pub fn new(blob: &[u8], request: u16) -> Result<Self, ModelError> {
         let model_id = Model::parse(blob)?.info().model_id;
-        let blob = blob.to_vec();
-        Ok(Upload { blob, model_id, stage: Stage::Begin, request, asked_ms: None, started: false, begins: 0 })
+        Ok(Self::of(blob, model_id, false, request))
     }
 
-    /// CRC-32 of the model.
+    /// Creates a transfer of the file of a new image.
+    pub fn image(file: &[u8], request: u16) -> Self {
+        Self::of(file, crc32(file), true, request)
+    }
+
+    fn of(blob: &[u8], model_id: u32, is_image: bool, request: u16) -> Self {
+        let blob = blob.to_vec();
+        Self {
+            blob,
+            model_id,
+            is_image,
+            stage: Stage::Begin,
+            request,
+            asked_ms: None,
+            started: false,
+            begins: 0,
+        }
+    }
+
+    /// CRC-32 of the model or image.
     pub fn model_id(&self) -> u32 {
         self.model_id
     }
@@ -101,7 +121,8 @@ impl Upload {
         (done, self.blob.len())
     }
 
-    /// Returns the message to send now, if any: once, and again if no answer arrives.
+    /// Returns the message to send now, if any.
+    /// Each message is returned once. It is returned again if no answer arrives.
     /// Call [`Upload::unsent`] if the link did not accept the message.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =
@@ -124,6 +145,9 @@ impl Upload {
         self.asked_ms = Some(now_ms);
         self.started = false;
         Some(match self.stage {
+            Stage::Begin if self.is_image => {
+                HostMessage::ImageBegin { request, size: self.blob.len() as u32, crc32: self.model_id }
+            }
             Stage::Begin => HostMessage::ModelBegin(ModelBegin {
                 request,
                 // The blob was parsed when the transfer was created.
@@ -151,8 +175,11 @@ impl Upload {
 
     /// Reports that the board has restarted and forgotten the transfer.
     pub fn restarted(&mut self) {
-        if !matches!(self.stage, Stage::Done | Stage::Failed(_)) {
-            self.go(Stage::Begin);
+        match self.stage {
+            Stage::Done | Stage::Failed(_) => {}
+            // The board restarts with the image, and the answer was lost.
+            Stage::Commit if self.is_image => self.go(Stage::Done),
+            _ => self.go(Stage::Begin),
         }
     }
 
@@ -191,7 +218,6 @@ mod tests {
     use proptest::prelude::*;
     use shared_board::memory::{RamFlash, at_once};
     use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
-    use shared_dsp::right::network::crc32;
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
     use shared_proto::message::BoardMessage;
 

@@ -235,11 +235,12 @@ impl Base {
 }
 
 impl Odometry {
-    /// Moves along the arc of a constant twist; exact for any turn.
+    /// Moves along the arc of a constant twist. The result is exact for any turn.
     pub fn advance(&mut self, twist: Twist, dt_s: f64) {
         let half_turn = 0.5 * twist.angular_rad_s * dt_s;
         let arc_m = twist.linear_m_s * dt_s;
-        // The chord is shorter than the arc by the factor sin(α/2)/(α/2), and points in the direction of half the turn.
+        // The chord is shorter than the arc by the factor sin(α/2)/(α/2).
+        // The chord points in the direction of half the turn.
         let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
         let direction = self.heading_rad + half_turn;
         self.x_m += chord_m * direction.cos();
@@ -258,7 +259,7 @@ mod tests {
     #[test]
     fn a_quarter_circle_ends_a_radius_ahead_and_a_radius_to_the_left() {
         let mut odometry = Odometry::default();
-        // The radius is 2 m (1 m/s and 0.5 rad/s), with steps of very different lengths.
+        // The radius is 2 m (1 m/s and 0.5 rad/s). The steps have very different lengths.
         for share in [0.5, 0.25, 0.125, 0.125] {
             odometry.advance(Twist { linear_m_s: 1.0, angular_rad_s: 0.5 }, PI * share);
         }

@@ -1,6 +1,6 @@
 //! Braking on a trajectory's own path.
 //!
-//! A trajectory q(σ) is planned with σ̇ = 1. To brake on its path, σ̇ decreases to zero.
+//! A trajectory q(σ) is planned with σ̇ = 1. To brake on its path, σ̇ must decrease to zero.
 //! Then q̇ = q′σ̇ and q̈ = q″σ̇² − q′β with β = −σ̈ ≥ 0.
 //! At each instant, β is the largest value that respects every joint's acceleration limit.
 //! With a jerk limit, β also rises and falls no faster than the limit allows.
@@ -60,7 +60,8 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
     }
 }
 
-/// Returns the strongest braking that all joints allow, and its maximum rate of increase (`None` = unlimited).
+/// Returns the strongest braking that all joints allow.
+/// Also returns the maximum rate at which the braking may rise (`None` = unlimited).
 fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f64>) {
     let (mut brake, mut ramp) = (f64::INFINITY, f64::INFINITY);
     for i in 0..JOINTS {
@@ -73,7 +74,7 @@ fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f6
         brake = brake.min((limits.acceleration_rad_s2[i] + bend).max(0.0) / speed.abs());
         ramp = ramp.min(limits.jerk_rad_s3[i] / speed.abs());
     }
-    // Nothing moves here, for example at a corner where the arm rests, so it stops immediately.
+    // Nothing moves here, for example at a corner where the arm rests. The arm therefore stops immediately.
     let brake = if brake.is_finite() { brake } else { 1.0 / STEP_S };
     (brake, ramp.is_finite().then_some(ramp))
 }

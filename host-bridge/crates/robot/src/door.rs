@@ -21,7 +21,7 @@ impl MotionName {
     pub const HOME: &'static str = "home";
     /// A special name that ends the current motion instead of starting one.
     pub const END_ARM: &'static str = "end-arm";
-    /// The name for the tool's motion by the left hand, which is not a motion of the configuration.
+    /// The name for the motion of the tool by the left hand. The configuration contains no such motion.
     pub const JOG: &'static str = "jog";
 
     /// The name.
@@ -105,7 +105,7 @@ pub enum NotStarted {
     /// Another one runs.
     #[error(transparent)]
     Busy(#[from] Busy),
-    /// The motion would not be safe, or the robot is not ready; the text has the reason and a remedy.
+    /// The motion would not be safe, or the robot is not ready. The text contains the reason and a remedy.
     #[error("{0}")]
     Refused(String),
 }
@@ -140,7 +140,7 @@ pub enum Report {
     Note(String),
 }
 
-/// The complete changing state of the robot, as reported by the robot.
+/// All data about the robot that changes, as the robot reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// The arm. Its angles are NaN if unknown.
@@ -182,7 +182,7 @@ pub trait Door {
     /// Advances the time to `now_ms`: the robot moves, the guard checks, and motions end.
     fn step(&mut self, now_ms: u64);
 
-    /// Sets the base's speed as far as the guard allows, and shows that the bridge is alive.
+    /// Sets the base's speed, if the guard allows it, and shows that the bridge is alive.
     fn drive(&mut self, twist: Twist);
 
     /// Starts an arm motion.
@@ -199,8 +199,8 @@ pub trait Door {
         Err(NotStarted::Refused("this robot's arm cannot be moved by hand".to_owned()))
     }
 
-    /// Moves the tool at this speed, in the arm's base frame, as far as limits and guard allow.
-    /// A live bridge repeats the speed; a value older than a quarter of a second counts as zero.
+    /// Moves the tool at this speed, in the arm's base frame, within the limits and if the guard allows it.
+    /// A live bridge repeats the speed. A value older than a quarter of a second counts as zero.
     fn jog(&mut self, _tool_m_s: DVec3) {}
 
     /// Returns whether a motion was planned elsewhere and waits for its start.
@@ -211,7 +211,7 @@ pub trait Door {
     /// Begins the planned motion, if it is still permitted.
     fn begin_planned(&mut self) {}
 
-    /// Brings base and arm to rest within their limits; targets are forgotten.
+    /// Brings base and arm to rest within their limits, and discards their targets.
     fn halt(&mut self);
 
     /// Brings only the arm to rest within its limits.

@@ -30,7 +30,7 @@ pub use gripper::{Grip, GripEnd};
 pub use limits::{JointLimits, Motion};
 pub use pose::{JOINTS, Joints, Pose, joints};
 pub use random::Random;
-pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
+pub use robot::{BaseState, End, Following, Part, Reading, Robot, Root, Sighting, Wheels};
 pub use setting::{JointSetting, RobotSetting, SceneBox, SceneObject};
 pub use trajectory::Trajectory;
 

@@ -9,7 +9,7 @@ pub struct JointLimits {
     pub velocity_rad_s: Joints,
     /// In rad/s².
     pub acceleration_rad_s2: Joints,
-    /// Limits in rad/s³; infinite if accelerations may jump.
+    /// Jerk limits in rad/s³, which are infinite if accelerations may jump.
     pub jerk_rad_s3: Joints,
 }
 

@@ -3,10 +3,11 @@
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Serialize, Serializer};
 
-/// Maximum number of joints that an arm may have. An arm with fewer leaves the last values at zero.
+/// Maximum number of joints that an arm may have. For an arm with fewer joints, the last values stay at zero.
 pub const JOINTS: usize = 8;
 
-/// One value per joint, from the foot on: in rad, rad/s, rad/s² or rad/s³; for sliding joints in m, m/s and so on.
+/// One value per joint, counted from the foot, in rad, rad/s, rad/s² or rad/s³.
+/// The units of sliding joints are m, m/s and so on.
 pub type Joints = [f64; JOINTS];
 
 /// Returns the values of an arm's joints, followed by zeros for the missing ones.

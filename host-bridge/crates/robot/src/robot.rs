@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::base::{BaseConfig, Covariance, Odometry, Twist};
 use crate::gripper::{Grip, GripEnd};
 use crate::limits::{JointLimits, Motion};
-use crate::pose::Joints;
+use crate::pose::{Joints, Pose};
 use crate::trajectory::Trajectory;
 
 /// A value that a robot reports, with its age.
@@ -37,6 +37,24 @@ pub struct Wheels {
     pub speed_rad_s: [f64; 2],
     /// Angles turned since the start, in rad.
     pub angle_rad: [f64; 2],
+}
+
+/// The frame in which a robot was told where a thing is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Root {
+    /// The point on the floor between the wheels.
+    Base,
+    /// The arm's base.
+    Arm,
+}
+
+/// Where a thing is that the arm may go to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sighting {
+    /// Place and orientation, with finite values.
+    pub pose: Pose,
+    /// The frame of the pose.
+    pub root: Root,
 }
 
 /// The arm's progress on its trajectory.
@@ -87,20 +105,22 @@ pub enum End {
 /// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
 /// No method may block.
 pub trait Robot {
-    /// Reads what the robot has sent until `now_ms`, the time of this turn; [`Robot::step`] may then reach it in several steps.
-    /// A remote robot's messages must not be dated earlier than they arrived.
+    /// Reads what the robot has sent until `now_ms`, the time of this turn.
+    /// Afterwards, [`Robot::step`] may advance to this time in several steps.
+    /// The messages of a remote robot must not be dated earlier than their arrival.
     fn hear(&mut self, _now_ms: u64) {}
 
     /// Advances the time to `now_ms`.
     fn step(&mut self, now_ms: u64);
 
     /// Returns joint angles, speeds and (if known) accelerations.
-    /// `None` means unknown, or older than the robot accepts.
+    /// The result is `None` if the values are unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
     /// Returns the position at which the controller holds the resting arm.
     /// The position may differ from the reported one by a few hundredths of a radian.
-    /// A motion from this position starts without a jump. `None` means that the robot does not report it.
+    /// A motion from this position starts without a jump.
+    /// `None` means that the robot does not report the position.
     fn held_rad(&self) -> Option<Joints> {
         None
     }
@@ -120,29 +140,30 @@ pub trait Robot {
     /// Checks whether the arm can follow a trajectory now.
     ///
     /// # Errors
-    /// The reason why the arm cannot follow a motion, with a remedy.
+    /// Returns the reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
     /// Makes the arm follow a trajectory that starts at its position. The new trajectory replaces the current one.
     ///
     /// # Errors
-    /// The reason why the robot does not follow the trajectory. Nothing moves in this case.
+    /// Returns the reason why the robot does not follow the trajectory. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
-    /// Returns how far ahead of now a running trajectory can be changed; see [`Robot::follow_on`].
+    /// Returns how long before its effect a change of a running trajectory must be sent;
+    /// see [`Robot::follow_on`].
     ///
     /// # Errors
-    /// The reason why the trajectory cannot be changed, with a remedy.
+    /// Returns the reason why the trajectory cannot be changed, with a remedy.
     fn ahead_ms(&self) -> Result<u64, String> {
         Err("this robot cannot continue a motion otherwise while it runs".to_owned())
     }
 
-    /// Changes the rest of the running trajectory, from `from_s` of its own time on.
+    /// Changes the remainder of the running trajectory, from `from_s` of its own time on.
     /// `from_s` is at least [`Robot::ahead_ms`] from now. Until then, the new trajectory must equal the old one.
     /// The new trajectory ends at rest, so the arm also comes to rest if no further call follows.
     ///
     /// # Errors
-    /// The reason why the trajectory cannot be changed. The arm then continues as before.
+    /// Returns the reason why the trajectory cannot be changed. The arm then continues as before.
     fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
         self.ahead_ms().map(|_| ())
     }
@@ -159,7 +180,7 @@ pub trait Robot {
     /// Brings base, arm and gripper to rest within their limits.
     fn halt(&mut self);
 
-    /// Returns the distance between the fingers in m, or `None` without a gripper or a report.
+    /// Returns the distance between the fingers in m, or `None` if there is no gripper or no report.
     fn opening_m(&self) -> Option<Reading<f64>> {
         None
     }
@@ -167,7 +188,7 @@ pub trait Robot {
     /// Checks whether the gripper can open or close now.
     ///
     /// # Errors
-    /// The reason why the gripper cannot be used, with a remedy.
+    /// Returns the reason why the gripper cannot be used, with a remedy.
     fn can_grip(&self) -> Result<(), String> {
         Err("this robot has no gripper".to_owned())
     }
@@ -175,7 +196,7 @@ pub trait Robot {
     /// Moves the gripper to a width.
     ///
     /// # Errors
-    /// The reason why the gripper does not move. Nothing moves in this case.
+    /// Returns the reason why the gripper does not move. Nothing moves in this case.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }
@@ -185,15 +206,23 @@ pub trait Robot {
         None
     }
 
-    /// Stops the fingers at their current position, and never opens them.
+    /// Stops the fingers at their current position. This function never opens the fingers.
     fn halt_gripper(&mut self) {}
+
+    /// Returns where the thing is whose pose is published on this topic. Its age counts from the measurement.
+    ///
+    /// # Errors
+    /// The reason why this is not known, with a remedy.
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        Err(format!("nobody reads {topic} here: only `--ros2` with a robot reads topics"))
+    }
 
     /// Returns the longest time between a command and its effect.
     fn reaction_ms(&self) -> u64 {
         0
     }
 
-    /// Returns the number of times the robot had to stop by itself, as far as known.
+    /// Returns the number of times the robot had to stop by itself, if this is known.
     fn timeouts(&self) -> u32 {
         0
     }
@@ -208,7 +237,7 @@ pub trait Robot {
         Vec::new()
     }
 
-    /// Returns messages for the user, each of them once.
+    /// Returns messages for the user. Each message is returned once.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
     }
@@ -280,6 +309,9 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn halt_gripper(&mut self) {
         (**self).halt_gripper();
+    }
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        (**self).sighting(topic)
     }
     fn reaction_ms(&self) -> u64 {
         (**self).reaction_ms()

@@ -7,7 +7,8 @@ use crate::base::BaseConfig;
 use crate::pose::{Pose, rows};
 use crate::shape::{Capsule, Point, UprightBox};
 
-/// In the world frame, the base starts at the origin; x is forward, y left, and z up from the floor.
+/// The constant data of a session, in the world frame.
+/// The base starts at the origin; x is forward, y left, and z up from the floor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotSetting {
     /// Title of the scene; empty without a scene.

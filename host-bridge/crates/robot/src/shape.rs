@@ -1,6 +1,6 @@
 //! Distances between the shapes of robot and scene, which are capsules, upright boxes and the floor.
 //!
-//! Both pairs of shapes that occur have an exact solution that needs no iteration.
+//! The two pairs of shapes that occur have exact solutions that need no iteration.
 //! A distance takes some tens of nanoseconds, and the result is equal on every machine.
 //! A general collision library (parry3d) would add some 30 crates for two functions.
 //! Instead, `tests/mujoco/check.py` compares these functions with an independent engine.
@@ -13,7 +13,8 @@ use crate::pose::Pose;
 /// A point or a direction in metres.
 pub type Point = DVec3;
 
-/// All points closer than `radius_m` to the line from `a_m` to `b_m`. For a sphere, both ends are equal.
+/// The set of points closer than `radius_m` to the line from `a_m` to `b_m`.
+/// For a sphere, both ends are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Capsule {
     /// One end of the centre line.
@@ -148,7 +149,7 @@ fn outside_m(point: Point, half: Point) -> f64 {
     (point.abs() - half).max(DVec3::ZERO).length()
 }
 
-/// Distance from a segment to a box around the origin.
+/// Returns the distance from a segment to a box around the origin.
 /// Along the segment, the squared distance is convex and consists of parabolas.
 /// The parabolas meet at the planes of the box's sides.
 /// The slope of the squared distance is piecewise linear, so its zero can be found exactly.

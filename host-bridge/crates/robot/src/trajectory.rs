@@ -1,8 +1,9 @@
 //! Motion along several straight segments in joint space, with constant accelerations or constant jerks.
 //!
-//! Between two corners, the speed is constant. Around a corner, the speed changes to that of the next segment.
-//! The change needs no stop (a parabolic blend, Kunz and Stilman 2011).
-//! Speeds within a blend are between those of the segments, and the slowest joint determines its duration.
+//! Between two corners, the speed is constant. Around a corner, it changes to the speed of the next segment.
+//! The change of speed is a parabolic blend (Kunz and Stilman 2011) and needs no stop.
+//! Speeds within a blend lie between those of the two segments.
+//! The slowest joint determines the blend's duration.
 //! Position, speed and acceleration therefore respect their limits at every instant, not only at samples.
 //! On a single segment, the slowest joint determines v = min(vᵢ/|Δqᵢ|) and a = min(aᵢ/|Δqᵢ|).
 //! The duration is 1/v + v/a, or 2/√a if v² > a, as in MoveIt's time-optimal profile.
@@ -122,8 +123,10 @@ impl Trajectory {
         Trajectory { to_rad: next.to_rad, duration_s: after_s + next.duration_s, ..self }
     }
 
-    /// Returns this motion up to `at_s`, after which the arm changes to the given acceleration within `for_s` seconds.
-    /// The jerk is constant (or unlimited). Finally, the arm brakes. Parts over `keep_s` before `at_s` are cut.
+    /// Returns this motion up to `at_s`.
+    /// From then on, the arm changes to the given acceleration within `for_s` seconds.
+    /// The jerk is constant (or unlimited). Finally, the arm brakes.
+    /// Parts that end over `keep_s` before `at_s` are removed.
     #[must_use]
     pub fn continued(
         &self,
@@ -191,7 +194,7 @@ impl Trajectory {
         }
         let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
         let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
-        // The speed decreases (or increases) by this value while the acceleration goes to zero.
+        // The speed changes by this amount while the acceleration returns to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
             // This case is the end of a ramp to rest. If the loss exceeded the speed, the joints would reverse.
@@ -231,7 +234,8 @@ impl Trajectory {
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
                 // A blend is centred on its corner.
-                // At the start and the end, one of the speeds is zero, so the arm rests in that half of the blend.
+                // At the start and at the end, one of the two speeds is zero.
+                // The arm therefore rests in that half of the blend.
                 // The motion takes longer by this time.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
@@ -360,7 +364,7 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
         // The speed is slightly reduced, so that rounded ramps are not longer than the segment.
         return vec![top_of_two_ramps(way, limits) * (1.0 - 1e-12)];
     }
-    // All speeds are reduced until the blends fit, and then each is increased as far as the others allow.
+    // All speeds are reduced until the blends fit. Then each speed is increased as much as the others allow.
     let slowed = |factor: f64| top.iter().map(|s| s * factor).collect::<Vec<_>>();
     let mut speeds = slowed(bisect(|factor| fits(&slowed(factor))));
     for _ in 0..4 {
@@ -437,22 +441,27 @@ mod tests {
         assert_eq!((braked.duration_s(), braked.goal_rad()), (0.0, HOME));
     }
 
-    /// Checks that all joints have the same progress at any time, and never move back by more than `slack`.
+    /// Checks that all joints have the same progress at any time.
+    /// No joint may move back by more than `slack`.
     fn keeps_to_the_line(
         motion: &Trajectory,
         duration_s: f64,
         (from, to): (&Joints, &Joints),
         slack: f64,
     ) -> Result<(), TestCaseError> {
+        // A joint that stays where it is has no progress of its own, so the one that moves furthest is the measure.
+        let way = |i: usize| to[i] - from[i];
+        let furthest = (0..JOINTS).max_by(|&a, &b| way(a).abs().total_cmp(&way(b).abs())).unwrap_or(0);
+        prop_assume!(way(furthest) != 0.0);
         let mut gone = 0.0;
         for k in 0..=50 {
             let now = motion.motion(f64::from(k) / 50.0 * duration_s);
-            let shares: Joints = std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
-            for i in 0..JOINTS {
-                prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-9);
+            let share = (now.joints_rad[furthest] - from[furthest]) / way(furthest);
+            for (i, joint_rad) in now.joints_rad.iter().enumerate() {
+                prop_assert!((joint_rad - from[i] - share * way(i)).abs() < 1e-9);
             }
-            prop_assert!(shares[0] >= gone - slack && shares[0] <= 1.0 + slack, "never turns back");
-            gone = shares[0];
+            prop_assert!(share >= gone - slack && share <= 1.0 + slack, "never turns back");
+            gone = share;
         }
         Ok(())
     }
@@ -490,7 +499,8 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // The values are from Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
+            // The values are from Biagiotti and Melchiorri 2008, section 3.4.
+            // The motion covers a distance of 1 from rest to rest.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s
@@ -521,7 +531,8 @@ mod tests {
             let halt_s = when * plan.duration_s();
             let halted = plan.motion(halt_s);
             let halting = Trajectory::braking(halted, &limits);
-            // The time to reduce and to build up an acceleration, twice each, and to brake in between.
+            // This bound covers two reductions and two build-ups of an acceleration.
+            // It also covers the braking in between.
             let rise_s = 0.43 / jerk;
             let even_s = 0.1397 / 0.43;
             prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));

@@ -68,7 +68,7 @@ pub struct Goals {
     known: Vec<Goal>,
     /// Maximum number of goals that are stored.
     most: usize,
-    /// Number of active goals on the server that are not ours.
+    /// Number of active goals on the server that other programs sent.
     foreign: usize,
 }
 
@@ -78,12 +78,12 @@ impl Goals {
         Goals { known: Vec::new(), most, foreign: 0 }
     }
 
-    /// Deletes all goals, because their answers would go to a client that no longer exists.
+    /// Deletes all goals. Their answers would go to a client that no longer exists.
     pub fn clear(&mut self) {
         self.known.clear();
     }
 
-    /// Returns the number of active goals on the server that are not ours.
+    /// Returns the number of active goals on the server that other programs sent.
     pub fn foreign(&self) -> usize {
         self.foreign
     }
@@ -133,7 +133,7 @@ impl Goals {
                 goal.result = client.request_result(goal.id).ok();
                 said.push((goal.ours, Said::Accepted));
             } else {
-                // The goal is kept, because with two servers or a forged answer, another server may still accept it.
+                // The goal is kept. With two servers or a forged answer, another server may still accept it.
                 said.push((goal.ours, Said::Rejected));
             }
         }
@@ -143,7 +143,7 @@ impl Goals {
             }
         }
         while let Ok(Some((request, response))) = client.result_client().receive_response() {
-            // The goal is kept, because a forged result must not prevent a stop from cancelling it.
+            // The goal is kept. A forged result must not prevent a stop from cancelling it.
             let Some(goal) = goals.iter_mut().find(|goal| goal.result == Some(request)) else { continue };
             goal.result = None;
             said.push((goal.ours, Said::Result(response.status, response.result)));

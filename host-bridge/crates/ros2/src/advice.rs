@@ -1,4 +1,4 @@
-//! Analyses a graph for `doctor --ros2`: finds subscribers, or the reasons why there are none.
+//! Analyses a graph for `doctor --ros2`. The analysis finds subscribers, or the reasons why there are none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -70,14 +70,14 @@ impl Machine {
             };
             text.lines().skip(1).filter_map(port).collect()
         };
-        // A participant's ports are 7400 + 250 domain + 10 + 2 number, and the following one for its data.
+        // A participant's first port is 7400 + 250 × domain + 10 + 2 × number. The next port is for its data.
         let domain = |port: u16| {
             let offset = port.checked_sub(7400)?;
             let within = offset % 250;
             (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
         };
         let udp = ports(udp, false);
-        // Both ports must exist, because a single port belongs to another program.
+        // Both ports must exist; a single port belongs to another program.
         let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
         let domains = pairs.filter_map(|&port| domain(port)).collect();
         Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
@@ -145,7 +145,7 @@ pub fn ros_name(topic: &str) -> String {
     }
 }
 
-/// Returns the topics of a configuration. If the type of speeds is open, the subscribers determine it.
+/// Returns the topics of a configuration. If the type of speeds is left open, the subscribers determine it.
 pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
         let name = config.resolve(name);
@@ -383,7 +383,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
                  datagrams from it arrive here (firewall, another network)?",
                 server.vendor
             )),
-            // There are two servers, which another line reports, or the server appeared at the very end.
+            // There are two servers, which another line reports, or the server appeared only at the very end.
             Probe::NotSent => {}
         }
         if let Some(rmw) = environment.rmw.as_deref()
@@ -526,7 +526,7 @@ mod tests {
     fn twist_against_twist_stamped_is_named_with_the_option_that_helps() {
         let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST)]);
         assert_eq!((found.lines[0].contains("Twist, reliable]: 1 reader"), found.advice.len()), (true, 0));
-        // There are two types at once, so one of them is ignored and reported.
+        // There are two types at once. One of them is ignored, and this is reported.
         let both = vec![reader("rt/cmd_vel", wire::TWIST), reader("rt/cmd_vel", wire::TWIST_STAMPED)];
         let found = cmd_vel(|_| {}, both);
         assert!(found.lines[0].contains("TwistStamped, reliable]: 1 reader"), "{:?}", found.lines);

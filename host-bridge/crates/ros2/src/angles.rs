@@ -43,7 +43,7 @@ impl Angles {
     /// Reads angles, except NaN and those of other joints. Returns whether the message contained joints of the arm.
     pub fn see(&mut self, state: &JointState, now_ms: u64, doubts: &mut Doubts) -> bool {
         let mut about_arm = false;
-        // No arm has this many joints, so the rest of a longer message is ignored.
+        // No arm has this many joints. The rest of a longer message is ignored.
         for (place, (name, &position_rad)) in
             state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
         {
@@ -61,7 +61,8 @@ impl Angles {
         about_arm
     }
 
-    /// Returns all joints with the age of the oldest, if all are recent. Accelerations are not reported.
+    /// Returns all joints with the age of the oldest value, if all values are recent.
+    /// Accelerations are not reported.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         let mut value = Motion::at_rest([0.0; JOINTS]);
         let mut age_ms = 0;

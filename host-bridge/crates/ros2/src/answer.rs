@@ -1,4 +1,4 @@
-//! What comes back from an action.
+//! The reports that an action server sends back.
 
 /// The report of an action server about a goal.
 #[derive(Clone, Debug, PartialEq)]

@@ -22,7 +22,8 @@ use host_topics::message::{ControllerState, Header, JointState};
 
 /// Maximum distance at which the goal counts as reached if its end is not reported.
 const REACHED_RAD: f64 = 0.05;
-/// Maximum distance between the arm and its expected positions within the last [`FOLLOW_STEPS`] times 20 ms.
+/// Maximum distance between the arm and its plan.
+/// The plan's positions within the last [`FOLLOW_STEPS`] times 20 ms are compared.
 /// The arm is stopped if this distance is exceeded.
 const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
@@ -32,7 +33,8 @@ const BEGUN_RAD: f64 = 1e-4;
 const CANCEL_PATIENCE_MS: u64 = 5000;
 /// Maximum duration of any goal.
 const STRAY_MS: u64 = 300_000;
-/// A goal that was reported as finished too early is still cancelled by a stop until this long after its planned end.
+/// A goal may have been reported as finished too early.
+/// A stop cancels such a goal until this long after its planned end.
 const UNSURE_MS: u64 = 5000;
 /// Maximum delay of a motion compared with its plan.
 const OVERDUE_MS: u64 = 10_000;
@@ -72,15 +74,15 @@ pub struct ArmLink {
     listened_to: bool,
     run: Option<Run>,
     goals: u32,
-    /// Abandoned goals that may still be running, whose cancellation is requested.
+    /// Abandoned goals that may still be running. Their cancellation is requested.
     strays: Strays,
-    /// Goals that were reported as finished too early, with the time until which they may still be running.
+    /// Goals that may have been reported as finished too early, and until when they may still be running.
     unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
     /// Whether the controller has started the trajectory.
     is_accepted: bool,
-    /// The controller's set point when a trajectory was sent, until its start is detected.
+    /// The controller's set point when a trajectory was sent; stored until the start is detected.
     wanted_then: Option<Joints>,
     /// The controller's set point.
     wanted: Option<Joints>,
@@ -128,7 +130,7 @@ impl ArmLink {
         }
     }
 
-    /// Processes the controller's report about itself, and its speed scaling, if reported.
+    /// Processes the controller's report about itself, including its speed scaling if reported.
     pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
         let read = |values: &[f64]| in_order(self.angles.names(), &state.joint_names, values);
         self.wanted = read(&state.reference.positions);
@@ -162,12 +164,12 @@ impl ArmLink {
         self.listened_to = listened_to;
     }
 
-    /// Returns all joints, if all were reported recently. Accelerations are not reported.
+    /// Returns the motion of all joints, if all were reported recently. Accelerations are not reported.
     pub fn sample(&self, now_ms: u64) -> Option<Motion> {
         self.reading(now_ms).map(|reading| reading.value)
     }
 
-    /// Returns all joints as above, with the age of the oldest value.
+    /// Returns the motion of all joints as above, with the age of the oldest value.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         self.angles.reading(now_ms)
     }
@@ -204,7 +206,7 @@ impl ArmLink {
     /// Sends a trajectory.
     ///
     /// # Errors
-    /// The errors of [`ArmLink::can_follow`], or that another trajectory is running.
+    /// Fails like [`ArmLink::can_follow`], or if another trajectory is running.
     pub fn follow(
         &mut self,
         trajectory: Arc<Trajectory>,
@@ -222,7 +224,7 @@ impl ArmLink {
             outputs.push(self.output(self.goals, &trajectory));
         }
         self.is_accepted = false;
-        // An action server answers. With a topic, only the controller's own state shows the progress.
+        // An action server answers. For a topic, only the controller's own state shows the progress.
         self.wanted_then = self.wanted.filter(|_| self.interface != ArmInterface::Action);
         self.run = Some(Run {
             goal: self.goals,
@@ -241,7 +243,7 @@ impl ArmLink {
     /// Returns how far ahead of now a running motion can be changed.
     ///
     /// # Errors
-    /// This is not possible for whole goals, which would continue after this program's death.
+    /// Fails for whole goals, which would continue after this program's death.
     pub fn ahead_ms(&self) -> Result<u64, String> {
         match self.interface {
             ArmInterface::Stream => Ok(stream::AHEAD_MS),
@@ -253,7 +255,8 @@ impl ArmLink {
     /// Changes the running motion, starting at `from_s` of its own time.
     ///
     /// # Errors
-    /// No motion runs, it was abandoned, or the piece would come too late. The arm then continues as before.
+    /// Fails if no motion runs, if the motion was abandoned, or if the piece would come too late.
+    /// The arm then continues as before.
     pub fn follow_on(
         &mut self,
         trajectory: Arc<Trajectory>,
@@ -271,7 +274,7 @@ impl ArmLink {
             .go_on([run, &trajectory], from_s, &self.limits, now_ms, robot_ns)
             .map_err(|Late| "the next piece would come too late".to_owned())?;
         *run = trajectory;
-        // Of two pieces in one turn, the last one counts.
+        // If one turn contains two pieces, only the last piece counts.
         outputs.retain(|output| !matches!(output, Output::Trajectory(_)));
         outputs.push(Output::Trajectory(stream.message(self.angles.names(), points)));
         Ok(())
@@ -334,7 +337,7 @@ impl ArmLink {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
                 Answer::Accepted => {
-                    // The goal was abandoned long ago or rejected by another server, so it must not move the arm now.
+                    // The goal was abandoned or rejected, so it must not move the arm now.
                     self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
@@ -346,7 +349,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // With two servers or a forged answer, the motion may be running although it was reported as finished.
+            // After a forged answer, or with two servers, a finished motion may still be running.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);
@@ -354,7 +357,7 @@ impl ArmLink {
         }
         match answer {
             Answer::Accepted if run.moving_since_ms.is_some() && run.stopping_since_ms.is_none() => {
-                // With two servers or a forged answer, only one of two motions would be monitored.
+                // With two servers or a forged answer, two motions may run, and only one would be monitored.
                 self.notes.push(
                     "two controllers have accepted the goal: it is cancelled; end all but one of them"
                         .to_owned(),
@@ -665,7 +668,7 @@ mod tests {
         rig.arm.see(&part, rig.now_ms);
         let text = rig.start().unwrap_err();
         assert!(text.contains("joint_7") && !text.contains("joint_1,"), "{text}");
-        // The gripper's joint is reported in a separate message, as some drivers do.
+        // The gripper's joint is reported in a separate message, as by some drivers.
         let last = JointState { name: vec!["joint_7".into()], position: vec![1.57], ..JointState::default() };
         rig.arm.see(&last, rig.now_ms);
         rig.start().unwrap();

@@ -3,8 +3,8 @@
 //! A received stamp was set shortly before arrival.
 //! `stamp - local time` is therefore the clock difference minus the transmission time.
 //! The largest such value of the last seconds is the most accurate one.
-//! A robot that stamps its states late looks like one whose clock is behind.
-//! Both robots are unsuitable for stamped commands.
+//! A robot that stamps its states late looks like a robot whose clock is behind.
+//! Stamped commands are unsuitable for both robots.
 //!
 //! If `/clock` is published, it defines the graph's time (`use_sim_time`), and all stamps are compared with it.
 
@@ -91,7 +91,7 @@ impl Clocks {
     }
 
     /// Returns the graph's time if the clocks agree: `/clock`, or otherwise this machine's time.
-    fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
+    pub fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
                 time_s + now_ms.saturating_sub(at_ms).min(SIMULATED_SILENCE_MS) as f64 / 1000.0
@@ -101,7 +101,7 @@ impl Clocks {
     }
 
     /// Returns the clock difference, or `None` if there are too few recent stamps.
-    /// If there are several sources, the worst one counts.
+    /// If there are several sources, the largest difference is returned.
     pub fn difference(&self, now_ms: u64) -> Option<Difference> {
         let newest = |heard: &VecDeque<(u64, f64)>| {
             let lately = heard.iter().filter(|(at_ms, _)| now_ms.saturating_sub(*at_ms) <= WINDOW_MS);
@@ -137,7 +137,7 @@ impl Clocks {
         self.refusal(now_ms)
     }
 
-    /// Returns the robot's time of a current decision in seconds, or `None` if its clock is unknown.
+    /// Returns the robot's time of a decision made now in seconds, or `None` if the robot's clock is unknown.
     /// Commands that the robot executes by its own clock (an arm's trajectory) get this stamp.
     pub fn robot_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
         let difference = self.difference(now_ms);
@@ -257,7 +257,8 @@ mod tests {
             for apart_s in [0.05, 0.09, 0.11, 0.5, 2.0, 10.0, 30.0_f64].iter().flat_map(|s| [*s, -*s]) {
                 for stamp in [Stamp::Zero, Stamp::Clock, Stamp::Wall] {
                     let mut clocks = Clocks::default();
-                    // The graph's time is wall-clock time or simulated time, and the robot's time differs from it.
+                    // The graph's time is wall-clock time or simulated time.
+                    // The robot's time differs from the graph's time.
                     let graph_s = |wall_s: f64| if simulated { wall_s - WALL_S + 10.0 } else { wall_s };
                     for n in 0..200_u64 {
                         let now = WALL_S + n as f64 * 0.01;

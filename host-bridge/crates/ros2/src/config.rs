@@ -5,20 +5,23 @@ use std::net::{IpAddr, Ipv4Addr};
 use serde::{Deserialize, Serialize};
 
 use super::clocks::Stamp;
+use super::sightings::Watched;
 use host_robot::JOINTS;
 use host_topics::messages::ARM_PREFIX;
 
-/// The interface for arm motions. Only one of them is used.
+/// The interface for arm motions. Only one interface is used at a time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArmInterface {
-    /// Sends short pieces to the controller's topic, each ending at rest, so that the arm stops if the program dies.
+    /// Sends short pieces to the controller's topic.
+    /// Each piece ends at rest, so the arm stops if the program dies.
     #[default]
     Stream,
-    /// Complete `FollowJointTrajectory` goals with feedback, which a stop cancels.
+    /// Sends complete `FollowJointTrajectory` goals with feedback. A stop cancels the goal.
     /// **No third stop**: if the program dies, the arm finishes its goal.
     Action,
-    /// Complete `JointTrajectory` messages; a stop sends a braking trajectory. **No third stop** either.
+    /// Sends complete `JointTrajectory` messages. A stop sends a braking trajectory.
+    /// **No third stop** either.
     Topic,
     /// Not at all.
     None,
@@ -77,18 +80,21 @@ pub struct Ros2Config {
     pub node: String,
     /// Namespace of this operator and robot, such as `/cell1`; empty if there is none.
     pub namespace: String,
-    /// DDS domain, 0 to 232; -1 means `ROS_DOMAIN_ID`, or 0.
+    /// DDS domain from 0 to 232; -1 selects `ROS_DOMAIN_ID`, or 0 if that is not set.
     pub domain_id: i32,
     /// What carries it.
     pub transport: Carrier,
     /// Zenoh's routers, such as `tcp/localhost:7447`.
     pub zenoh_connect: Vec<String>,
-    /// Zenoh's own configuration file, which overrides `zenoh_connect`; empty: `ZENOH_SESSION_CONFIG_URI`, or none.
+    /// Zenoh's own configuration file, which overrides `zenoh_connect`.
+    /// If it is empty, `ZENOH_SESSION_CONFIG_URI` is used, or no file.
     pub zenoh_config: String,
-    /// Addresses of the network interfaces to use; empty means all, unless an environment variable restricts them:
+    /// Addresses of the network interfaces to use.
+    /// An empty list means all interfaces, unless an environment variable restricts them:
     /// `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST` and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]`.
     pub interfaces: Vec<IpAddr>,
-    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`.
+    /// Type of speeds: `TwistStamped` (true), `Twist` (false), or `"auto"`.
+    /// Jazzy's diff_drive_controller needs true.
     /// The value `"auto"` follows the subscriber.
     pub stamped: Stamped,
     /// The stamps that speeds get.
@@ -97,7 +103,7 @@ pub struct Ros2Config {
     pub cmd_vel: String,
     /// Rate of speed commands while driving or stopping.
     pub rate_hz: u32,
-    /// Duration for which zero is repeated after a stop, followed by silence.
+    /// Duration for which zero is repeated after a stop. Afterwards, the topic is silent.
     pub stop_ms: u64,
     /// Maximum age of speeds in middleware that supports it (Fast DDS); 0 means unlimited.
     pub lifespan_ms: u64,
@@ -117,7 +123,8 @@ pub struct Ros2Config {
     pub joint_states_max_age_ms: u64,
     /// Time after which a goal without an answer is abandoned and cancelled.
     pub answer_ms: u64,
-    /// The gripper's action, such as `gripper_controller/gripper_cmd` (GripperCommand or ParallelGripperCommand).
+    /// The gripper's action, such as `gripper_controller/gripper_cmd`.
+    /// The type of this action is GripperCommand or ParallelGripperCommand.
     /// `"auto"` selects the only action whose name ends in `gripper_cmd`; empty means none.
     pub gripper: String,
     /// Name of the gripper's joint in the joint states; empty if it is not reported.
@@ -128,21 +135,22 @@ pub struct Ros2Config {
     pub gripper_closed: f64,
     /// Distance between the open fingers in m.
     pub gripper_width_m: f64,
-    /// A gripper without a report for this long has failed.
+    /// A gripper that sends no report for this long counts as failed.
     pub gripper_timeout_ms: u64,
-    /// Topic of an external e-stop (`std_msgs/Bool`), preferably latched.
-    /// The value true stops base and arm, like a lock of twist_mux.
+    /// Topic of an external e-stop (`std_msgs/Bool`), whose publisher should latch it.
+    /// The value true stops base and arm, like a lock in twist_mux.
     /// A missing publisher also stops them. An empty name means that there is no e-stop.
     pub estop: String,
-    /// Duration of silence of an e-stop that counts as a stop; 0 means that its last message remains valid.
+    /// An e-stop that is silent for this long counts as a stop. 0 means that its last message remains valid.
     pub estop_timeout_ms: u64,
-    /// Topic of a driver's fault flag, treated as an e-stop; for ros2_kortex `/fault_controller/internal_fault`.
+    /// Topic of a driver's fault flag, which is treated as an e-stop. For ros2_kortex:
+    /// `/fault_controller/internal_fault`.
     pub fault: String,
     /// As `estop_timeout_ms`.
     pub fault_timeout_ms: u64,
     /// Topic that reports this program's stop (true = stopped), in the form of twist_mux's locks.
     pub stopped: String,
-    /// Topic of the base's odometry. Its stamps are compared with this machine's clock.
+    /// Topic of the base's odometry. The stamps of the odometry are compared with this machine's clock.
     /// With `--publish-sim`, the simulator publishes its odometry on this topic.
     pub odom: String,
     /// Transforms of the simulator, if `--publish-sim` is given.
@@ -153,12 +161,15 @@ pub struct Ros2Config {
     pub odom_frame: String,
     /// Frame of the base, and of its speed.
     pub base_frame: String,
-    /// Frame of the arm's base; empty means `arm_prefix` plus its link in the arm's own description.
+    /// Frame of the arm's base. Empty means `arm_prefix` plus the link's name in the arm's own description.
     pub arm_base_frame: String,
     /// Prefix of the arm's link names, like `prefix` in ros2_kortex's description.
     pub arm_prefix: String,
-    /// Topic of the simulator's URDF, with `--publish-sim`; empty means that it is not published.
+    /// Topic of the simulator's URDF, with `--publish-sim`. Empty means that the URDF is not published.
     pub robot_description: String,
+    /// What the motions need of the graph, in addition to the file.
+    #[serde(skip)]
+    pub watched: Watched,
 }
 
 impl Default for Ros2Config {
@@ -205,6 +216,7 @@ impl Default for Ros2Config {
             arm_base_frame: String::new(),
             arm_prefix: text(ARM_PREFIX),
             robot_description: text("robot_description"),
+            watched: Watched::default(),
         }
     }
 }
@@ -229,7 +241,7 @@ pub struct RosEnvironment {
 }
 
 impl RosEnvironment {
-    /// This process's.
+    /// Reads the environment of this process.
     pub fn read() -> Self {
         let get = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
         RosEnvironment {
@@ -271,7 +283,7 @@ impl Ros2Config {
     /// Checks whether all values are valid.
     ///
     /// # Errors
-    /// The invalid value, and the valid ones.
+    /// Returns the invalid value, and the valid ones.
     pub fn check(&self) -> Result<(), String> {
         let ensure = |sound: bool, what: &str| if sound { Ok(()) } else { Err(format!("ros2: {what}")) };
         ensure(is_name(&self.node), "node is letters, digits and underscores, not starting with a digit")?;
@@ -358,7 +370,7 @@ impl Ros2Config {
     /// Combines this configuration with the environment.
     ///
     /// # Errors
-    /// The setting of the environment that cannot be used, with a remedy.
+    /// Returns the setting of the environment that cannot be used, with a remedy.
     pub fn connection(&self, environment: &RosEnvironment) -> Result<Connection, String> {
         let (domain, domain_from) = match (self.domain_id, &environment.domain_id) {
             (0.., _) => (self.domain_id, "the configuration"),

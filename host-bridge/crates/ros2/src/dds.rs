@@ -35,6 +35,11 @@ impl Transport for Joined {
                 }
             }
         }
+        for (n, things) in self.things.iter().enumerate() {
+            while let Ok(Some((pose, _))) = things.take() {
+                came(Came::Thing(n, Box::new(pose)));
+            }
+        }
         while let Some(Ok(Some((list, _)))) = self.goals.as_ref().map(|goals| goals.take()) {
             came(Came::ForeignGoals(active(&list).count()));
         }

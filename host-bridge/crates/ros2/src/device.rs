@@ -1,8 +1,9 @@
 //! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
-//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks.
-//! Anyone who can reach this machine can therefore send data to them.
-//! On Linux, a socket can be bound to a device later. Other systems do not permit this, which is reported.
+//! RustDDS binds its listeners to 0.0.0.0, whatever networks are chosen.
+//! Anyone who can reach this machine can therefore send data to these listeners.
+//! On Linux, a socket can be bound to a device later.
+//! Other systems do not permit this, and a message reports it.
 
 #[cfg(target_os = "linux")]
 pub use linux::{sockets, tie_to_loopback};
@@ -27,7 +28,7 @@ mod linux {
     /// Binds every UDP socket that was opened after `before` to the loopback device. Returns their number.
     ///
     /// # Errors
-    /// The system's refusal. Before Linux 5.7, only root may do this.
+    /// Returns the system's refusal. Before Linux 5.7, only root may bind a socket to a device.
     pub fn tie_to_loopback(before: &BTreeSet<i32>) -> io::Result<usize> {
         let process = pidfd_open(getpid(), PidfdFlags::empty())?;
         let mut tied = 0;

@@ -1,5 +1,7 @@
-//! Reasons against moving the arm: two writers of its angles, impossible angles, foreign goals, and a scaled speed.
-//! This module is sans-IO. Each reason is reported. While it applies, no motion starts, and a running one is stopped.
+//! Reasons against moving the arm:
+//! two writers of its angles, impossible angles, foreign goals, or a scaled speed.
+//! This module is sans-IO. Each reason is reported.
+//! While a reason applies, no motion starts, and a running one is stopped.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -7,13 +9,13 @@ use std::f64::consts::TAU;
 use super::stream::off_rad;
 use host_robot::{JOINTS, Joints};
 
-/// Time within which several writers of the arm's angles count.
+/// Two writers of the arm's angles are reported if both have written within this time.
 const TELLERS_MS: u64 = 1000;
 /// Maximum number of writers that are distinguished.
 const TELLERS_MAX: usize = 8;
 /// Time for which impossible angles are remembered.
 const MEMORY_MS: u64 = 2000;
-/// Maximum speed of any joint in rad/s, which is twice that of the fastest such arms.
+/// Maximum speed of any joint in rad/s. It is twice the speed of the fastest arms of this kind.
 const FASTEST_RAD_S: f64 = 4.0 * std::f64::consts::PI;
 /// Tolerance for noise, rounding, and messages that arrive together.
 const SLACK_RAD: f64 = 0.2;
@@ -21,7 +23,7 @@ const SLACK_RAD: f64 = 0.2;
 const TURNS_MAX: f64 = 16.0;
 /// Maximum age of a controller's state.
 const STATE_MS: u64 = 500;
-/// Maximum distance between the arm and the controller's set point for starting a motion there.
+/// A motion may start at the controller's set point only if the arm is within this distance of the set point.
 const HELD_MAX_RAD: f64 = 0.05;
 /// Tolerance for a speed scaling of 1.
 const SCALING_OFF: f64 = 1e-3;
@@ -32,11 +34,12 @@ pub struct Doubts {
     tellers: BTreeMap<String, u64>,
     /// The impossible angle, and its time.
     impossible: Option<(String, u64)>,
-    /// Number of goals on the controller's action server that are not ours.
+    /// Number of goals on the controller's action server that other programs sent.
     foreign: usize,
-    /// The reported scaling if it is not 1, and its time.
+    /// The reported scaling with its time, unless the scaling is 1.
     scaling: Option<(f64, u64)>,
-    /// Whether a scaling other than zero was ever reported, so that zero is not just a default.
+    /// Whether a scaling other than zero was ever reported.
+    /// Before such a report, a scaling of zero may just be a default value.
     is_scaled: bool,
     held: Option<(Joints, u64)>,
 }
@@ -74,7 +77,7 @@ impl Doubts {
     pub fn controller(&mut self, reference: Option<(Joints, Joints)>, scaling: Option<f64>, now_ms: u64) {
         if let Some(scaling) = scaling {
             self.is_scaled |= scaling != 0.0;
-            // The comparison also covers NaN.
+            // The comparison is also correct for NaN.
             let is_one = (scaling - 1.0).abs() <= SCALING_OFF;
             let off = self.is_scaled && !is_one;
             self.scaling = off.then_some((scaling, now_ms));
@@ -83,15 +86,16 @@ impl Doubts {
         self.held = reference.filter(|(_, speeds)| rests(speeds)).map(|(held, _)| (held, now_ms));
     }
 
-    /// Returns the position at which the controller holds an arm that rests at `here`, for a start without a jump.
+    /// Returns the position at which the controller holds an arm that rests at `here`.
+    /// A motion from this position starts without a jump.
     pub fn held(&self, here: &Joints, now_ms: u64) -> Option<Joints> {
         let (held, at_ms) = self.held?;
         let near = off_rad(&held, here) <= HELD_MAX_RAD && now_ms.saturating_sub(at_ms) <= STATE_MS;
-        // The controller's state counts only in the turn in which it is reported.
+        // The controller's state is used only in the turn in which it is reported.
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 
-    /// Returns a reason against moving the arm in pieces (or at all).
+    /// Returns a reason against moving the arm. `in_pieces` selects reasons that concern motions in pieces.
     pub fn problem(&self, in_pieces: bool, now_ms: u64) -> Option<String> {
         let lately = |at_ms: u64, long_ms: u64| now_ms.saturating_sub(at_ms) <= long_ms;
         let tellers: Vec<&str> = self

@@ -1,11 +1,12 @@
-//! The robot on the graph as a [`Robot`]: the decisions about messages, and the node that sends them.
+//! Implements [`Robot`] for the robot on the graph.
+//! It combines the decisions about messages with the node that sends the messages.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
     BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Part, Reading, Robot,
-    Trajectory, Twist,
+    Sighting, Trajectory, Twist,
 };
 
 use crate::node::RosNode;
@@ -33,7 +34,7 @@ impl RosDriver {
         Arc::clone(&self.counts)
     }
 
-    /// A refusal of the complete robot applies to each of its parts.
+    /// A refusal of the entire robot applies to each of its parts.
     fn may_move(&self) -> Result<(), String> {
         self.refusal.clone().map_or(Ok(()), Err)
     }
@@ -135,6 +136,10 @@ impl Robot for RosDriver {
 
     fn halt_gripper(&mut self) {
         self.robot.halt_gripper();
+    }
+
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        self.robot.sighting(topic)
     }
 
     fn reaction_ms(&self) -> u64 {

@@ -1,7 +1,8 @@
 //! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
-//! Each flag is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
-//! A flag that has no publisher, has sent no message yet, or (with a timeout) is silent for too long stops them, too.
+//! Each flag is a `std_msgs/Bool` of another publisher. While the flag is true, base and arm stop.
+//! Base and arm also stop if the flag has no publisher or has sent no message yet.
+//! With a timeout, they also stop if the flag is silent for too long.
 //! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -61,11 +62,13 @@ impl Inputs {
         self.inputs.iter().map(|input| input.topic.as_str())
     }
 
-    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer requires it.
+    /// Processes a message on topic number `n`.
+    /// The publisher `writer` requires a stop, or no longer requires it.
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
-            // A publisher that has disappeared cannot revoke its message, so the next existing publisher revokes it.
+            // A publisher that has disappeared cannot revoke its message.
+            // The next existing publisher revokes that message.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }
@@ -173,11 +176,11 @@ mod tests {
     #[test]
     fn true_stops_whoever_says_it_until_he_takes_it_back() {
         let mut inputs = ready();
-        // A publisher that the graph does not show yet also counts.
+        // A publisher that the graph does not show yet is also respected.
         inputs.hear(0, "c", true, 100);
         assert!(inputs.refusal(100).unwrap().contains("e-stop is pressed"));
         inputs.hear(0, "a", false, 200);
-        // "c" is not on the graph, so the next existing publisher revokes its message.
+        // "c" is not on the graph. The next existing publisher therefore revokes its message.
         assert_eq!(inputs.refusal(200), None);
         inputs.hear(0, "b", true, 300);
         inputs.hear(0, "a", false, 310);

@@ -1,4 +1,4 @@
-//! The arm's action on the graph.
+//! The client of the arm's action on the graph.
 //! Requests depend on the vendor of the action's server, which is known once the server is discovered.
 
 use ros2_client::action::ActionClient;
@@ -53,7 +53,7 @@ impl Follow {
             self.goals.clear();
             return Ok(false);
         }
-        // Two servers would both accept every goal, and one answer would hide the other.
+        // Two servers would both accept every goal, and the answer of one would hide that of the other.
         Ok(servers.len() == 1)
     }
 
@@ -68,7 +68,7 @@ impl Follow {
         self.client.as_ref().is_some_and(|(_, client)| self.goals.cancel(client, ours))
     }
 
-    /// Requests once the cancellation of a goal that does not exist.
+    /// Requests (once) the cancellation of a goal that does not exist.
     pub fn ask(&mut self) {
         if self.probed == Probe::NotSent
             && let Some((_, client)) = &self.client
@@ -85,7 +85,7 @@ impl Follow {
         self.probed
     }
 
-    /// Returns the number of active goals on the server that are not ours.
+    /// Returns the number of active goals on the server that other programs sent.
     pub fn foreign(&self) -> usize {
         if self.client.is_some() { self.goals.foreign() } else { 0 }
     }

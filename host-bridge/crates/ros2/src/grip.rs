@@ -51,7 +51,7 @@ pub struct Found {
 }
 
 impl Meant {
-    /// The choice as configured; `None` means that no gripper is used.
+    /// Returns the choice as configured, or `None` if no gripper is used.
     pub fn new(config: &Ros2Config) -> Option<Self> {
         let name = match config.gripper.as_str() {
             "" => return None,
@@ -158,7 +158,7 @@ impl Gripper {
         Some(about(name, *kind))
     }
 
-    /// Looks for the action's server. Returns why none can be used, or `None` if one can be used.
+    /// Looks for the action's server. Returns the reason why none can be used, or `None` if one can be used.
     ///
     /// # Errors
     /// Fails if the client cannot be created.

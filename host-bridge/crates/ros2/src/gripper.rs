@@ -12,7 +12,7 @@ use super::config::Ros2Config;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
-/// Maximum wait for the confirmation of a cancellation. The requests continue afterwards.
+/// Maximum wait for the confirmation of a cancellation. Afterwards, the requests continue.
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// Maximum duration of a gripper's goal.
 const STRAY_MS: u64 = 60_000;
@@ -182,12 +182,13 @@ impl GripperLink {
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                // This case includes a goal that was rejected or finished earlier, which must not run now.
+                // The goal may also be one that was rejected or finished earlier.
+                // Such a goal must not run now.
                 GripAnswer::Accepted => {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                // With two servers, the other one may execute the goal.
+                // With two servers, the second server may execute the goal.
                 GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
@@ -202,12 +203,13 @@ impl GripperLink {
             run.heard_ms = now_ms;
         }
         if matches!(answer, GripAnswer::Rejected | GripAnswer::Done { .. }) {
-            // The duration of a grip is unknown, so after any answer, a stop cancels the goal once more.
+            // The duration of a grip is unknown.
+            // After any answer, a stop therefore cancels the goal once more.
             self.unsure.add(goal, run.asked_ms + OVERALL_MS);
         }
         match answer {
             GripAnswer::Accepted if run.accepted_ms.is_some() && !stopping => {
-                // Only one of two motions would be monitored.
+                // Two motions may run, and only one would be monitored.
                 self.notes.push(
                     "two controllers have accepted the gripper's goal: it is cancelled; end all but one of them".to_owned(),
                 );
@@ -251,7 +253,7 @@ impl GripperLink {
         }
     }
 
-    /// Handles a goal that may run unintentionally, by requesting its cancellation until its end is known.
+    /// Handles a goal that may run unintentionally. Its cancellation is requested until its end is known.
     fn stray(&mut self, goal: u32, now_ms: u64) {
         self.strays.add(goal, now_ms, now_ms + STRAY_MS);
     }
@@ -392,11 +394,11 @@ mod tests {
         assert_eq!(rig.run(400).len(), 2, "asked again");
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
         rig.answer(1, GripAnswer::Rejected);
-        // Another server may have accepted the goal, so requests continue without waiting.
+        // Another server may have accepted the goal, so the cancellation requests continue without waiting.
         assert_eq!(rig.run(400).len(), 2);
         assert_eq!(rig.gripper.can_grip(), Ok(()));
 
-        // The goal is accepted after all, so it is cancelled, and no other goal is sent until its end is known.
+        // The goal is accepted after all, so it is cancelled. No other goal is sent until its end is known.
         rig.answer(1, GripAnswer::Accepted);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
@@ -419,7 +421,7 @@ mod tests {
         rig.grip(0.0).unwrap();
         rig.outputs.clear();
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
-        // The server accepts the goal only now, so the cancellation is repeated.
+        // The server accepts the goal only now. The cancellation is therefore repeated.
         rig.answer(1, GripAnswer::Accepted);
         let sent = rig.run(500);
         assert!(sent.len() >= 3 && sent.iter().all(|o| *o == Output::CancelGrip { goal: 1 }), "{sent:?}");
@@ -473,7 +475,8 @@ mod tests {
         assert!(rig.gripper.take_notes()[0].contains("two controllers"));
         rig.outputs.clear();
         assert_eq!(rig.run(400), vec![Output::CancelGrip { goal: 1 }; 2]);
-        // The first server reports that it has stopped, so the next stop cancels the other server's goal.
+        // The first server reports that it has stopped.
+        // The next stop therefore cancels the other server's goal.
         assert_eq!(rig.done(1, 0.3, false), Some(GripEnd::Halted));
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);

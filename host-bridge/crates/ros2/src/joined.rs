@@ -78,10 +78,13 @@ pub struct Joined {
     pub joint_states: Option<Subscription<ros::JointState>>,
     /// The base's odometry, whose stamps show the robot's clock.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// The arm controller's set point and state; silent while the controller is inactive.
+    /// The arm controller's set point and state. The topic is silent while the controller is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
-    /// The status of the goals on the arm's action server, if we have no client for it.
+    /// The status of the goals on the arm's action server.
+    /// The status is read only if we have no client for that server.
     pub goals: Option<Subscription<GoalStatusArray>>,
+    /// The poses of things. Each thing has its own topic.
+    pub things: Vec<Subscription<ros::PoseStamped>>,
     /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// The time of a simulation.
@@ -91,7 +94,7 @@ pub struct Joined {
     /// Its threads.
     pub watch: Watch,
     participant: DomainParticipant,
-    // This field must be the last one, because all fields above belong to the node.
+    // This field must be the last field, because all fields above belong to the node.
     /// The node itself.
     pub node: Node,
 }
@@ -192,6 +195,12 @@ impl Joined {
                 &latched(),
             )?),
         };
+        let things = config
+            .watched
+            .topics
+            .iter()
+            .map(|topic| subscription(&mut node, topic, ("geometry_msgs", "PoseStamped"), 1));
+        let things = things.collect::<Result<_, _>>()?;
         let mut flags = Vec::new();
         for topic in Inputs::new(config).topics() {
             let kind = ("std_msgs", "Bool");
@@ -206,7 +215,7 @@ impl Joined {
             ArmInterface::None => Arm::None,
             ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
-                // A waiting piece is useless once the next one exists.
+                // A waiting piece is useless once the next piece exists.
                 let qos = qos.clone().history(History::KeepLast { depth: 1 });
                 Arm::Topic(Box::new(publisher(
                     &mut node,
@@ -248,6 +257,7 @@ impl Joined {
             odom: odom_read,
             controller_state,
             goals,
+            things,
             flags,
             clock,
             participants: BTreeMap::new(),
@@ -259,12 +269,12 @@ impl Joined {
         Ok((joined, Published { diagnostics, stopped, sim }))
     }
 
-    /// Returns our own participant, named as [`Joined::look_around`] names others.
+    /// Returns the name of our own participant, in the form in which [`Joined::look_around`] names others.
     pub fn own_name(&self) -> String {
         name_of(&self.participant.guid().to_bytes())
     }
 
-    /// Publishes speeds with the other type from now on.
+    /// From now on, publishes speeds with the other message type.
     ///
     /// # Errors
     /// Returns [`NodeError`] if the topic cannot be created.
@@ -288,7 +298,8 @@ impl Joined {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
-                    // Only the participant's own description is lost; its end points still reveal the participant.
+                    // Only the participant's own description is lost;
+                    // the participant's end points still show that the participant exists.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });

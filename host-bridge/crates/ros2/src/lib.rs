@@ -6,7 +6,7 @@
 //!                 └── joint states, odometry, answers
 //! ```
 //! Everything except `node` and `driver` is sans-IO and always built.
-//! These modules are therefore always tested, and every build accepts the same configuration files.
+//! These modules are therefore tested in every build, and every build accepts the same configuration files.
 //! `node` and `driver` need the feature `ros2`. `docs/ros2.md` describes the usage.
 
 #[cfg(feature = "ros2")]
@@ -42,6 +42,7 @@ mod points;
 #[cfg(feature = "ros2")]
 pub mod publisher;
 pub mod robot;
+pub mod sightings;
 mod strays;
 pub mod stream;
 #[cfg(feature = "ros2")]

@@ -11,7 +11,7 @@ use super::follow::STATUS;
 use super::joined::{bare, latched, subscription_with};
 use super::transport::NodeError;
 
-/// The graph is read for at least this long, because end points are discovered one after the other.
+/// The graph is read for at least this long, because end points are discovered one by one.
 const SETTLE: Duration = Duration::from_millis(2500);
 
 /// What was found.
@@ -26,7 +26,7 @@ pub struct Found {
 /// Reads the graph until a description arrives, but no longer than `wait`.
 ///
 /// # Errors
-/// Returns [`NodeError`] if the domain or topic is not available, or the robot is on Zenoh, which is not read here.
+/// Fails if the domain or topic is not available. It also fails for a robot on Zenoh, which is not read here.
 pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Result<Found, NodeError> {
     if config.transport == Carrier::Zenoh {
         let why = "a robot's description is read over DDS alone: save it to a file, and name that in the scene's [arm]";

@@ -1,6 +1,6 @@
 //! The node on the graph, which receives and sends messages. It makes no decisions.
 //!
-//! Its middleware ([`Transport`]) has its own threads, so all functions here return at once.
+//! The node's middleware ([`Transport`]) has its own threads, so all functions here return at once.
 //! If these threads end, a separate thread reopens the node. This module needs the feature `ros2`.
 
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
@@ -41,7 +41,7 @@ pub struct RosNode {
     looked_ms: Option<u64>,
     watched_ms: Option<u64>,
     readers: usize,
-    /// The last message about each of these topics, so that it is reported only once.
+    /// The last message about each of these topics. It prevents repeated reports.
     said: [Option<String>; 4],
     counts: Counts,
 }
@@ -112,17 +112,26 @@ impl RosNode {
 
     /// Processes messages received at `wall_s` (seconds since 1970). Returns messages for the user.
     pub fn receive(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) -> Vec<String> {
-        // What comes is stamped with this time, from which the robot's clock is known.
+        // Everything that arrives gets this time. It is needed to estimate the robot's clock.
         robot.at(now_ms);
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
+        // The newest `/clock` counts, which may come after a pose.
+        let mut things = Vec::new();
         self.hear(wall_s, now_ms, |came| match came {
             Came::Arm(state, teller) => robot.see_from(teller, state),
             Came::Base(odometry) => robot.see_base(odometry),
             Came::Controller(told) => robot.see_controller(&told.state, told.scaling()),
             Came::ForeignGoals(goals) => robot.set_foreign_goals(*goals),
+            Came::Thing(n, pose) => things.push((*n, pose.clone())),
             Came::Clock(_) | Came::Flag { .. } => {}
         });
+        robot.set_clock(self.clocks.reference_s(wall_s, now_ms));
+        for (n, pose) in things {
+            if let Some(topic) = self.config.watched.topics.get(n) {
+                robot.see_thing(topic, &pose);
+            }
+        }
         if let Some(joined) = self.joined.as_mut().filter(|joined| joined.arm_way() == ArmWay::Action) {
             for (goal, answer) in joined.answers() {
                 robot.answer(goal, answer);
@@ -160,7 +169,7 @@ impl RosNode {
                     clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
                 }
                 Came::Controller(_) => heard.controller_states += 1,
-                Came::ForeignGoals(_) => {}
+                Came::ForeignGoals(_) | Came::Thing(..) => {}
             }
             see(&came);
         });
@@ -174,7 +183,7 @@ impl RosNode {
             self.looked_ms = Some(now_ms);
             if let Some(joined) = &mut self.joined {
                 let graph = joined.graph();
-                // If the server cannot be asked, the missing answer shows this.
+                // If the server cannot be asked, the missing answer shows the problem.
                 if joined.arm_way() == ArmWay::Action && joined.look_for_server(&graph) == Ok(true) {
                     joined.ask();
                 }
@@ -235,7 +244,7 @@ impl RosNode {
         let dead = (self.joined.take(), lock(&self.published).take());
         let (config, connection, publish_sim) =
             (self.config.clone(), self.connection.clone(), self.publish_sim);
-        // No thread waits for the closing of a dead node, which may take time.
+        // A separate thread closes the dead node, because closing may take time.
         std::thread::spawn(move || {
             drop(sender.send(transport::open(&config, &connection, publish_sim)));
             drop(dead);
@@ -243,7 +252,7 @@ impl RosNode {
         self.opening = Some(receiver);
     }
 
-    /// Reports a message once until it changes.
+    /// Reports a message once, and again only after it has changed.
     fn say(&mut self, place: usize, what: Option<String>, notes: &mut Vec<String>) {
         if self.said[place] != what {
             notes.extend(what.clone());
@@ -316,7 +325,7 @@ impl RosNode {
         let gripper_note = joined.about_gripper();
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
-            // The call also affects a node that is reopened.
+            // The setting also applies to a node that is reopened.
             self.publish_sim = false;
             if let Some(published) = &mut *lock(&self.published) {
                 published.end_simulator();
@@ -338,7 +347,7 @@ impl RosNode {
         self.say(SPEED, speed_note, notes);
         self.say(SERVERS, servers_note, notes);
         self.say(GRIPPER, gripper_note, notes);
-        // The comparison ignores numbers, because they change continually.
+        // The comparison ignores numbers, because they change all the time.
         let clocks = self.clocks.refusal_of(self.config.stamp, now_ms);
         if clocks.is_some() != self.said[CLOCKS].is_some() {
             self.say(CLOCKS, clocks.map(|why| format!("the clocks do not agree: {why}")), notes);

@@ -3,7 +3,7 @@
 use host_robot::Trajectory;
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
-/// Maximum time between two points, in addition to the instants at which the acceleration changes.
+/// Maximum time between two points. Further points mark the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
 /// Controllers require strictly increasing times.
 const LEAST_STEP_S: f64 = 0.001;
@@ -17,7 +17,7 @@ pub fn message(header: Header, names: &[String], mut points: Vec<JointTrajectory
     JointTrajectory { header, joint_names: names.to_vec(), points }
 }
 
-/// Converts a trajectory to points in time. Cubics through their positions and speeds give the same motion.
+/// Converts a trajectory to points in time. Cubic interpolation between these points gives the same motion.
 pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
     let end_s = trajectory.duration_s();
     let mut times_s = trajectory.knots_s();

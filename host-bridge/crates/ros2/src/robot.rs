@@ -2,7 +2,8 @@
 //!
 //! Safety on the graph: nothing is sent until the bridge is armed for the first time, which requires neutral.
 //! While driving, the speed is repeated at a fixed rate.
-//! After a stop, zero is repeated for a limited time, followed by silence, so that another source may drive.
+//! After a stop, zero is repeated for a limited time.
+//! Then the topic is silent, so that another source may drive.
 //! A stop also cancels the arm's motion.
 
 use std::sync::Arc;
@@ -13,16 +14,18 @@ use super::answer::Answer;
 use super::arm::ArmLink;
 use super::config::Ros2Config;
 use super::gripper::{GripAnswer, GripperLink};
+use super::sightings::Sightings;
 use host_robot::{
     BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Odometry, Part,
-    Reading, Robot, Trajectory, Twist,
+    Reading, Robot, Sighting, Trajectory, Twist,
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
 /// A bridge that is silent for this long counts as stopped.
 const QUIET_MS: u64 = 250;
 
-/// Maximum time between a command and its reported effect: network, controller cycle, and the way back.
+/// Maximum time between a command and its reported effect.
+/// This time includes the network, the controller's cycle, and the way back.
 const REACTION_MS: u64 = 60;
 
 /// What goes out.
@@ -69,7 +72,8 @@ pub struct Counts {
     pub motions: u64,
     /// Requests to end a goal of arm or gripper, not counting those that are already waiting.
     pub cancels: u64,
-    /// Speeds and pieces of arm motions that newer ones replaced before they were sent (stalled Zenoh networks only).
+    /// Number of speeds and pieces of arm motions that newer ones replaced before they were sent.
+    /// This happens only in stalled Zenoh networks.
     pub replaced: u64,
     /// Goals that were cancelled or became too old before they were sent (likewise).
     pub withdrawn: u64,
@@ -104,13 +108,14 @@ pub struct RosRobot {
     sent_ms: Option<u64>,
     arm: ArmLink,
     gripper: GripperLink,
+    things: Sightings,
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
     /// The newest odometry relative to the first known position, and its time of arrival.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
-    /// The base's speed at the last change of its command, until odometry begins to follow.
+    /// The base's speed at the last change of its command. It is stored until the odometry begins to follow.
     speed_then: Option<Twist>,
     /// It has.
     base_follows: bool,
@@ -120,7 +125,7 @@ impl RosRobot {
     /// Creates a robot that has not received any command.
     pub fn new(config: &Ros2Config, limits: JointLimits, base_limits: BaseConfig) -> Self {
         RosRobot {
-            // The bridge repeats commands every 20 ms, with a delay of at most one turn of its loop.
+            // The bridge repeats commands every 20 ms. They are delayed by at most one turn of its loop.
             interval_ms: (1000 / u64::from(config.rate_hz.max(1))).saturating_sub(2),
             stop_ms: config.stop_ms,
             now_ms: 0,
@@ -131,6 +136,7 @@ impl RosRobot {
             sent_ms: None,
             arm: ArmLink::new(config, limits),
             gripper: GripperLink::new(config),
+            things: Sightings::new(config),
             outputs: Vec::new(),
             limits,
             base_limits,
@@ -211,6 +217,16 @@ impl RosRobot {
         self.seen = Some((BaseState { odometry: moved, covariance, wheels: None }, self.now_ms));
     }
 
+    /// Sets the graph's time of this turn in seconds, by which stamps of things count.
+    pub fn set_clock(&mut self, clock_s: f64) {
+        self.things.at(clock_s);
+    }
+
+    /// Processes the pose of a thing.
+    pub fn see_thing(&mut self, topic: &str, pose: &ros::PoseStamped) {
+        self.things.see(topic, pose, self.now_ms);
+    }
+
     /// Sets whether there is a subscriber for arm motions.
     pub fn set_arm_listened_to(&mut self, listened_to: bool) {
         self.arm.set_listened_to(listened_to);
@@ -262,7 +278,7 @@ impl RosRobot {
     }
 }
 
-/// Returns whether a base has completed a tenth of a change in speed.
+/// Returns whether a base has completed a tenth of a requested change in speed.
 /// Odometry noise is always smaller than this tenth.
 fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
     const SHARE: f64 = 0.1;
@@ -317,7 +333,7 @@ impl Robot for RosRobot {
             self.speed_then = self.seen.map(|(base, _)| base.odometry.twist);
         }
         if twist == Twist::ZERO {
-            // The base is already at rest, and another source of speeds must not be disturbed.
+            // The base is already at rest. Another source of speeds must not be disturbed.
             if self.base == BaseCommand::Driving {
                 self.stop_base();
             }
@@ -329,7 +345,7 @@ impl Robot for RosRobot {
         if changed {
             self.send_speed();
         }
-        // The repetition itself is the task of `step`.
+        // The function `step` repeats the speed.
     }
 
     fn can_follow(&self) -> Result<(), String> {
@@ -390,6 +406,10 @@ impl Robot for RosRobot {
 
     fn halt_gripper(&mut self) {
         self.gripper.halt(self.now_ms, &mut self.outputs);
+    }
+
+    fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
+        self.things.get(topic, self.now_ms)
     }
 
     fn reaction_ms(&self) -> u64 {
@@ -542,7 +562,7 @@ mod tests {
         robot.see_base(&odometry(0.3, 0.0));
         assert_eq!(robot.take_accepted(), [], "what it had before is not known");
         robot.drive(Twist { linear_m_s: 0.0, angular_rad_s: 0.5 });
-        // First noise, then a twentieth of the change, then enough.
+        // The test reports noise first, then a twentieth of the change, and then more than a tenth.
         for (turn, expected) in [(-0.01, vec![]), (0.025, vec![]), (0.06, vec![Part::Base]), (0.3, vec![])] {
             robot.see_base(&odometry(0.3, turn));
             assert_eq!(robot.take_accepted(), expected, "{turn} rad/s");

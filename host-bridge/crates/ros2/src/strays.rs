@@ -11,11 +11,12 @@ struct Stray {
     cancelled_ms: u64,
     /// Latest end of the waiting time.
     until_ms: u64,
-    /// Whether the goal was reported as not running, which may be forged or refer to another server.
+    /// Whether the goal was reported as not running. The report may be forged, or refer to another server.
     is_said_over: bool,
 }
 
-/// Goals whose cancellation is requested until their end is known, or until the maximum duration of a goal.
+/// Abandoned goals, whose cancellation is requested.
+/// The requests end when the goal's end is known, or after the maximum duration of a goal.
 #[derive(Clone, Debug, Default)]
 pub struct Strays(Vec<Stray>);
 
@@ -29,7 +30,8 @@ impl Strays {
         self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms, is_said_over: false });
     }
 
-    /// Reports that this goal is not running. Its cancellation is still requested, but no other goal waits for it.
+    /// Records a report that this goal is not running.
+    /// Its cancellation is still requested, but no other goal waits for it.
     pub fn said_over(&mut self, goal: u32) {
         for stray in self.0.iter_mut().filter(|stray| stray.goal == goal) {
             stray.is_said_over = true;
@@ -58,7 +60,8 @@ impl Strays {
     }
 }
 
-/// Goals that were reported as finished too early. With two servers or a forged answer, one may still be running.
+/// Goals that may have been reported as finished too early.
+/// With two servers or a forged answer, one may still be running.
 /// A stop requests their cancellation.
 #[derive(Clone, Debug, Default)]
 pub struct Unsure(Vec<(u32, u64)>);
@@ -73,7 +76,8 @@ impl Unsure {
         self.0.push((goal, until_ms));
     }
 
-    /// Processes a stop: `cancel` requests the cancellation of each goal, which counts as a stray from now on.
+    /// Processes a stop. `cancel` requests the cancellation of each goal.
+    /// From now on, each goal counts as a stray.
     pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
         for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
             cancel(goal);

@@ -1,5 +1,5 @@
 //! Sends a trajectory in short pieces, which gives the arm a third stop.
-//! Each piece is the next quarter second of the plan, followed by braking on the planned path.
+//! Each piece contains the next quarter second of the plan, followed by braking on the planned path.
 //! If the laptop dies, the cable is cut or the program freezes, the arm therefore comes to rest.
 //!
 //! ```text
@@ -9,10 +9,11 @@
 //! piece 3             ▪────────╲__      every 100 ms
 //! ```
 //!
-//! This relies on rules of Jazzy's joint_trajectory_controller (`joint_trajectory_controller.cpp`
-//! and `trajectory.cpp`).
+//! This method relies on rules of Jazzy's joint_trajectory_controller.
+//! Their source files are `joint_trajectory_controller.cpp` and `trajectory.cpp`.
 //! A message on the topic replaces the running one. A zero stamp means "now" and would cause a jump or a blend.
-//! With a stamp, the trajectory is sampled at the controller's own time, exactly between a past point and the next one.
+//! With a stamp, the controller samples the trajectory at its own time,
+//! exactly between a past point and the next one.
 //! The last point is held. All pieces of a motion therefore have the same stamp in the robot's clock.
 
 use std::collections::VecDeque;
@@ -25,14 +26,14 @@ use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 pub const HORIZON_MS: u64 = 250;
 /// Interval at which pieces are sent.
 pub const RENEW_MS: u64 = 100;
-/// Time between the start of a piece and the time of sending; the start is earlier.
+/// A piece starts this long before the time at which it is sent.
 const PAST_S: f64 = 0.02;
-/// Time between sending the first piece and its motion. Its timeline begins by the same time before that.
+/// Time between sending the first piece and its motion. Its timeline begins earlier by the same time.
 const LEAD_S: f64 = 0.05;
 const HOLD_S: f64 = 0.5;
 /// Time between sending a stop and its effect.
 const STOP_LEAD_S: f64 = 0.01;
-/// A motion is continued otherwise at least this long after that was decided: by then the piece is there.
+/// Minimum time between the decision to change a motion and the change. By then, the piece has arrived.
 pub const AHEAD_MS: u64 = 30;
 /// Longest time between two points of a piece.
 const GRID_S: f64 = 0.05;
@@ -41,15 +42,16 @@ const BRAKE_GRID_S: f64 = 0.02;
 /// Controllers want increasing times.
 const STEP_MIN_S: f64 = 0.001;
 
-/// The robot's clock, estimated from the stamps of its reports. It is never ahead of the robot's own clock.
+/// An estimate of the robot's clock from the stamps of its reports.
+/// The estimate is never ahead of the robot's own clock.
 #[derive(Clone, Debug, Default)]
 pub struct RobotClock {
-    /// Time of arrival in ms, and difference between the stamp and our clock in ns.
+    /// Time of arrival in ms, and the difference between the stamp and our clock in ns.
     seen: VecDeque<(u64, i64)>,
 }
 
 impl RobotClock {
-    /// Duration of the messages considered; the one with the shortest delay is the most accurate.
+    /// Messages within this time are considered. The message with the shortest delay is the most accurate.
     const WINDOW_MS: u64 = 2000;
 
     /// Processes a stamp. A zero stamp is ignored.
@@ -65,7 +67,7 @@ impl RobotClock {
         }
     }
 
-    /// Returns its time in ns at `now_ms`, or `None` without stamps.
+    /// Returns the robot's time in ns at `now_ms`, or `None` without stamps.
     pub fn at_ns(&self, now_ms: u64) -> Option<i64> {
         let ahead_ns = self.seen.iter().map(|(_, ahead_ns)| *ahead_ns).max()?;
         Some(now_ms as i64 * 1_000_000 + ahead_ns)
@@ -135,8 +137,8 @@ impl Stream {
         Ok(Some(self.piece(trajectory, limits, now_ms, elapsed_s)))
     }
 
-    /// The next piece of a motion that is continued otherwise from `change_s` on. `Err` = the robot could be there already;
-    /// what was sent holds.
+    /// Returns the next piece of a motion that changes from `change_s` on.
+    /// `Err` means that the robot could already be there; the pieces that were sent remain valid.
     pub fn go_on(
         &mut self,
         [before, trajectory]: [&Trajectory; 2],
@@ -146,7 +148,7 @@ impl Stream {
         robot_ns: i64,
     ) -> Result<Vec<JointTrajectoryPoint>, Late> {
         let elapsed_s = self.elapsed_s(robot_ns);
-        // The piece that the robot has must still be the motion as it was.
+        // The piece that the robot has must still describe the unchanged motion.
         let is_too_late =
             self.sent.is_some_and(|(_, until_s)| change_s > until_s && until_s < before.duration_s());
         if self.braking.is_some() || is_too_late || elapsed_s + STOP_LEAD_S > change_s {
@@ -213,7 +215,7 @@ impl Stream {
         let instants = brake::along(trajectory, from_s, limits);
         let (mut next_s, last) = (0.0, instants.len() - 1);
         for (k, instant) in instants.iter().enumerate() {
-            // The last regular point keeps a distance from the end.
+            // The last regular point is not too close to the end.
             let room = instants[last].time_s - instant.time_s >= STEP_MIN_S;
             if k == last || (instant.time_s >= next_s && room) {
                 points.push((from_s + instant.time_s, instant.motion));
@@ -241,7 +243,7 @@ impl Stream {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Late;
 
-/// Returns the largest difference of a joint, without complete turns of continuous joints.
+/// Returns the largest difference of a joint. Complete turns of continuous joints are ignored.
 pub fn off_rad(here_rad: &Joints, there_rad: &Joints) -> f64 {
     use std::f64::consts::TAU;
     let off = here_rad.iter().zip(there_rad).map(|(a, b)| {
@@ -273,8 +275,8 @@ mod tests {
         Trajectory::through(&[FROM, to], &[], &limits())
     }
 
-    /// A controller with Jazzy's rules: it samples the last message at its own time with cubics,
-    /// and holds the last point.
+    /// A controller with Jazzy's rules. It samples the last message with cubics at its own time.
+    /// The controller holds the last point.
     struct Controller {
         message: Option<JointTrajectory>,
     }

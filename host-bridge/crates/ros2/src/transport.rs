@@ -37,6 +37,8 @@ pub enum Came {
     Base(Box<ros::Odometry>),
     /// The arm controller's set point and state.
     Controller(Box<ToldState>),
+    /// The pose of a thing, with the number of its topic among the configured ones.
+    Thing(usize, Box<ros::PoseStamped>),
     /// The number of active goals on the arm's action server that are not ours.
     ForeignGoals(usize),
 }
@@ -55,9 +57,9 @@ pub enum ArmWay {
 /// The result of sending a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// It is on its way.
+    /// The message is on its way.
     Yes,
-    /// The message replaces an older one that had not been sent yet and will not be sent.
+    /// The message replaces an older message that had not been sent yet and will not be sent.
     Instead,
     /// It cannot be sent.
     No,
@@ -79,7 +81,8 @@ pub struct Unsent {
     pub failed: u64,
 }
 
-/// The node's entities on the graph. **No function waits**: if a message cannot be accepted at once, it returns false.
+/// The node's entities on the graph. **No function waits**.
+/// A message that cannot be accepted at once is refused.
 pub trait Transport: Send {
     /// Returns all other participants on the graph.
     fn graph(&mut self) -> Graph;
@@ -89,12 +92,12 @@ pub trait Transport: Send {
     fn take(&mut self, came: &mut dyn FnMut(Came));
     /// Whether speeds are stamped.
     fn is_stamped(&self) -> bool;
-    /// Publishes speeds with the other type from now on.
+    /// From now on, publishes speeds with the other message type.
     ///
     /// # Errors
     /// Fails if the topic cannot be created.
     fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError>;
-    /// Sends a speed with the selected type; the plain type omits the header.
+    /// Sends a speed with the selected type. The plain type omits the header.
     fn send_speed(&mut self, speed: ros::TwistStamped) -> Sent;
     /// Returns the interface by which the arm's motions are sent.
     fn arm_way(&self) -> ArmWay;
@@ -109,11 +112,11 @@ pub trait Transport: Send {
     fn send_goal(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool;
     /// Requests the end of a goal. `Instead` means that the same request is already waiting.
     fn cancel(&mut self, ours: u32) -> Sent;
-    /// Requests once the end of a goal that does not exist.
+    /// Requests (once) the end of a goal that does not exist.
     fn ask(&mut self);
-    /// Returns the result of that request so far.
+    /// Returns the result of [`Transport::ask`] so far.
     fn probe(&self) -> Probe;
-    /// Returns the number of active goals on the action's server that are not ours.
+    /// Returns the number of active goals on the action's server that other programs sent.
     fn foreign(&self) -> usize;
     /// Returns the server's answers, each with our number of the goal.
     fn answers(&mut self) -> Vec<(u32, Answer)>;
@@ -137,13 +140,15 @@ pub trait Transport: Send {
 pub trait Voice: Send {
     /// Publishes the state of the hands.
     fn diagnose(&mut self, message: ros::DiagnosticArray);
-    /// Publishes whether this program's operator has stopped. Returns whether the message was accepted for sending.
+    /// Publishes whether the operator has stopped this program.
+    /// Returns whether the message was accepted for sending.
     fn say_stopped(&mut self, stopped: bool) -> bool;
     /// Returns whether the simulator's state is published.
     fn has_simulator(&self) -> bool;
     /// Ceases to publish the simulator's state.
     fn end_simulator(&mut self);
-    /// Publishes the simulator's URDF, also for late subscribers: at the first call, or at as many calls as necessary.
+    /// Publishes the simulator's URDF, also for late subscribers.
+    /// This happens at the first call, or over as many calls as necessary.
     fn describe(&mut self, urdf: &str);
     /// The simulator's state.
     fn simulate(&mut self, joints: ros::JointState, odometry: ros::Odometry, frames: ros::TfMessage);
@@ -173,7 +178,8 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
     }
 }
 
-/// A controller's state with Jazzy's later fields. Other releases end differently; unreadable fields are omitted.
+/// A controller's state with Jazzy's later fields. In other releases the message ends differently;
+/// unreadable fields are omitted.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ToldState {
     /// The part that all releases share.

@@ -1,4 +1,4 @@
-//! The vendor of a participant's DDS, and the wrapping of its services' requests.
+//! The vendor of a participant's DDS, and the form in which requests of its services are wrapped.
 //!
 //! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) puts the vendor's id into every GUID prefix.
 //! The id is in the first two bytes of the prefix.
@@ -19,7 +19,7 @@ impl Vendor {
     pub const CONNEXT: Vendor = Vendor([0x01, 0x01]);
     /// A session of Zenoh instead of DDS. This id is not assigned to any vendor.
     pub const ZENOH: Vendor = Vendor([0xFF, 0x5A]);
-    /// RustDDS, as here.
+    /// The vendor id of RustDDS, which this program uses.
     pub const RUST_DDS: Vendor = Vendor([0x01, 0x12]);
 
     /// Reads the bytes of a GUID or its prefix; `None` for fewer than two.

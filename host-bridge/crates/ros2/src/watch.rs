@@ -24,12 +24,13 @@ impl Watch {
         tasks.map(|task| task.path()).filter(|task| is_ours(task)).collect()
     }
 
-    /// Monitors the threads that started after `before` was taken with [`Watch::running`].
+    /// Monitors the threads that started after `before` was recorded with [`Watch::running`].
     pub fn since(before: &[PathBuf]) -> Self {
         Watch { threads: Watch::running().into_iter().filter(|task| !before.contains(task)).collect() }
     }
 
-    /// Returns whether no thread has ended. If the system does not list threads (not Linux), they count as alive.
+    /// Returns whether no thread has ended.
+    /// If the system (not Linux) does not list threads, they count as alive.
     pub fn is_alive(&self) -> bool {
         self.threads.iter().all(|task| task.exists())
     }

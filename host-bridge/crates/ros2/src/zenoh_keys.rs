@@ -1,6 +1,7 @@
-//! Names on Zenoh as defined by rmw_zenoh: keys of topics and services, tokens of end points, attachments of messages.
+//! Names on Zenoh as defined by rmw_zenoh:
+//! keys of topics and services, tokens of end points, and attachments.
 //! This module is sans-IO. Its source is rmw_zenoh's code (`liveliness_utils`, `attachment_helpers`, `qos`).
-//! The names are compatible according to this source, but were not tested with rmw_zenoh itself.
+//! The names match this source code, but were not tested with rmw_zenoh itself.
 
 use super::advice::{Endpoint, wire};
 use super::hashes;
@@ -85,7 +86,8 @@ fn demangled(name: &str) -> String {
     name.replace('%', "/")
 }
 
-/// Quality of service of a topic: omitted values are rmw_zenoh's defaults (reliable, volatile, the last 42).
+/// Quality of service of a topic.
+/// Omitted values are rmw_zenoh's defaults (reliable, volatile, the last 42 messages).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Quality {
     /// Whether lost messages are sent again.
@@ -97,7 +99,7 @@ pub struct Quality {
 }
 
 impl Quality {
-    /// As most topics have it.
+    /// The quality of service that most topics have.
     pub const RELIABLE: Quality = Quality { reliable: true, transient_local: false, depth: 10 };
     /// The last message is stored for late subscribers.
     pub const LATCHED: Quality = Quality { reliable: true, transient_local: true, depth: 1 };
@@ -136,7 +138,7 @@ impl Node {
         self.begin(0, Entity::Node)
     }
 
-    /// Returns the token of one of its end points, distinguished by `id`.
+    /// Returns the token of one of the node's end points, distinguished by `id`.
     pub fn end_token(&self, id: u32, entity: Entity, named: &Named, quality: Quality) -> String {
         let Named { name, type_name, hash } = named;
         let (name, type_name) = (mangled(name), mangled(type_name));
@@ -191,7 +193,8 @@ pub fn read_token(token: &str) -> Option<Told> {
 }
 
 impl Told {
-    /// Returns the end point as DDS would show it, and whether it reads; `None` for nodes and clients.
+    /// Returns the end point as DDS would show it, and whether it is a reader.
+    /// The result is `None` for nodes and clients.
     pub fn endpoint(&self) -> Option<(Endpoint, bool)> {
         let (named, quality) = self.end.as_ref()?;
         let (topic, type_name, reads) = match self.entity {
@@ -228,7 +231,7 @@ pub struct Attached {
     pub writer: [u8; 16],
 }
 
-/// Jazzy names each value; later releases only store the values in order.
+/// In Jazzy, each value has a name; later releases only store the values in order.
 const LABELS: [&str; 3] = ["sequence_number", "source_timestamp", "source_gid"];
 
 impl Attached {
@@ -347,8 +350,9 @@ mod tests {
         };
         let (plain, labelled) = (attached.bytes(false), attached.bytes(true));
         assert_eq!((plain.len(), labelled.len()), (33, 77));
-        // Assembled by hand from rmw_zenoh's attachment_helpers.cpp: two integers, then the length and 16 bytes;
-        // Jazzy puts the length and the name of each value before it.
+        // These bytes were assembled by hand from rmw_zenoh's attachment_helpers.cpp:
+        // two integers, the length and 16 bytes.
+        // In Jazzy's form, the length and the name of each value precede the value.
         let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
         let (number, sent) = ("0700000000000000", "0100f323845bd718");
         let writer = "10000102030405060708090a0b0c0d0e0f";

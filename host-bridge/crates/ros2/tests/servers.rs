@@ -64,7 +64,8 @@ impl<A: Clone + PartialEq> Servers<A> {
         Servers { words, takes_ms, answers: Vec::new(), running: Vec::new() }
     }
 
-    /// Each server accepts the goal, rejects it or is silent, with or without delay. The forger sends anything.
+    /// Each server accepts the goal, rejects it or is silent, with or without delay.
+    /// The forger sends any message.
     fn ask(&mut self, goal: u32, now_ms: u64, random: &mut Random) {
         for server in 0..2 {
             let at_ms = now_ms + [1, 30, 1200, 6000][random.below(4)];

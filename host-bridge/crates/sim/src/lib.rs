@@ -1,4 +1,5 @@
-//! The simulated robot: a differential-drive base with an arm and an optional gripper, in steps of a millisecond.
+//! The simulated robot, in steps of a millisecond:
+//! a base with differential drive, an arm, and an optional gripper.
 
 use std::sync::Arc;
 
@@ -178,7 +179,7 @@ impl Robot for Simulator {
                 self.halt_gripper();
             }
             if self.timed_out && self.at_rest() && self.arm.following.is_none() {
-                // Nothing moves until the next command, so the rest of a long pause is a single step.
+                // Nothing moves until the next command. The rest of a long pause is therefore a single step.
                 self.now_ms += (now_ms - self.now_ms) / STEP_MS * STEP_MS;
             }
             self.base.step(dt_s);

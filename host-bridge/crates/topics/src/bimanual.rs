@@ -8,7 +8,7 @@ messages! {
     "bimanual_msgs/Bytes" Bytes {
         /// Time of day.
         stamp: Time,
-        /// When the bridge handled them, on its own clock.
+        /// Time at which the bridge processed the bytes, on the bridge's own clock.
         time_ms: u64,
         /// The bytes.
         data: Vec<u8>,
@@ -18,23 +18,24 @@ messages! {
     "bimanual_msgs/Operated" Operated {
         /// Time of day.
         stamp: Time,
-        /// When, on the bridge's clock.
+        /// Time on the bridge's clock.
         time_ms: u64,
-        /// 0 = stop, 1 = release, 2 = end the arm's motion, 3 = begin to show gestures, 4 = end that, 5 = the clutch.
+        /// 0 = stop, 1 = release, 2 = end the arm's motion, 3 = begin to show gestures,
+        /// 4 = end showing, 5 = the clutch.
         key: u8,
     }
 
-    /// The robot itself refuses to move, or does not any more.
+    /// The robot itself begins or ceases to refuse motion.
     "bimanual_msgs/Refused" Refused {
         /// Time of day.
         stamp: Time,
-        /// When, on the bridge's clock.
+        /// Time on the bridge's clock.
         time_ms: u64,
-        /// Why; empty = it does not refuse any more.
+        /// The reason; empty if the robot no longer refuses.
         reason: String,
     }
 
-    /// Steps since the message before this one.
+    /// The steps since the previous message of this kind.
     "bimanual_msgs/Turns" Turns {
         /// In their order.
         turns: Vec<Turn>,
@@ -42,7 +43,8 @@ messages! {
 
     /// One step.
     "bimanual_msgs/Turn" Turn {
-        /// 0 = the bridge decided at this time, 1 = the robot moved on by this long, 2 = a motion that had been planned began.
+        /// 0 = the bridge decided at this time, 1 = the robot moved on by this long,
+        /// 2 = a planned motion began.
         kind: u8,
         /// Time or duration in ms.
         ms: u64,
@@ -54,7 +56,7 @@ messages! {
         header: Header,
         /// Conversions (10 bits): x, y, z, index, middle.
         counts: [u16; 5],
-        /// 0 = straight, 1000 = as far as calibrated.
+        /// 0 = straight, 1000 = bent as in the calibration.
         bends_permille: [i16; 2],
     }
 
@@ -62,31 +64,32 @@ messages! {
     "bimanual_msgs/RightSample" RightSample {
         /// Time of day.
         header: Header,
-        /// Accelerometer (m/s2), gyroscope (deg/s), magnetometer (uT), as far as the sensor has them.
+        /// Accelerometer (m/s2), then gyroscope (deg/s) and magnetometer (uT) if the sensor has these parts.
         values: Vec<f32>,
     }
 
-    /// What the hands say.
+    /// The state of both hands.
     "bimanual_msgs/Hands" Hands {
         /// Time of day.
         header: Header,
-        /// State of the dead-man; if the robot refuses to move, or the session is restricted, the reason follows.
+        /// State of the dead-man. The reason follows if the robot refuses to move,
+        /// or if the session is restricted.
         safety: String,
-        /// Left hand.
+        /// Pitch of the left hand.
         pitch_rad: f64,
-        /// Left hand.
+        /// Roll of the left hand.
         roll_rad: f64,
-        /// Of the left hand.
+        /// Heading of the left hand.
         heading: String,
-        /// Both fingers are bent: stop.
+        /// Whether both fingers are bent, which stops the robot.
         both_fingers: bool,
-        /// What the right hand's model knows.
+        /// Labels of the right hand's model.
         labels: Vec<String>,
-        /// One per label.
+        /// One score per label.
         scores: Vec<f32>,
-        /// Speed limit.
+        /// Maximum speed of the base.
         cap_m_s: f64,
-        /// Turning limit.
+        /// Maximum turning speed of the base.
         cap_rad_s: f64,
     }
 
@@ -94,15 +97,15 @@ messages! {
     "bimanual_msgs/Event" Event {
         /// Time of day.
         header: Header,
-        /// When, on the bridge's clock.
+        /// Time on the bridge's clock.
         time_ms: u64,
-        /// As people read it.
+        /// The event as a text for users.
         text: String,
-        /// With all its values.
+        /// The event with all its values.
         json: String,
     }
 
-    /// What a hand asks for, and what follows.
+    /// A command of a hand, and its effect.
     "bimanual_msgs/Intent" Intent {
         /// Time of day.
         header: Header,
@@ -110,15 +113,15 @@ messages! {
         hand: String,
         /// Heading or label.
         name: String,
-        /// What follows.
+        /// The effect of the command.
         outcome: String,
         /// 0 to 1.
         confidence: f32,
-        /// How old the sample was.
+        /// Age of the hand's sample.
         age_ms: u64,
-        /// Forward, if it is about speed.
+        /// Forward speed, if the command is a speed.
         linear_m_s: f64,
-        /// To the left, if it is about speed.
+        /// Turning speed to the left, if the command is a speed.
         angular_rad_s: f64,
     }
 
@@ -134,7 +137,7 @@ messages! {
 
     /// The operator marked an episode.
     "bimanual_msgs/Mark" Mark {
-        /// Time of day.
+        /// Time on the bridge's clock.
         header: Header,
         /// When, on the bridge's clock.
         time_ms: u64,
@@ -142,7 +145,7 @@ messages! {
         mark: String,
         /// gesture, key or page.
         by: String,
-        /// What follows, as people read it.
+        /// The effect of the mark, as a text for users.
         text: String,
     }
 
@@ -150,7 +153,7 @@ messages! {
     "bimanual_msgs/Lost" Lost {
         /// Time of day.
         header: Header,
-        /// How many.
+        /// Number of missing messages.
         messages: u64,
     }
 }

@@ -11,7 +11,7 @@ const HEADER: [u8; 4] = [0, 1, 0, 0];
 /// Encodes a message, which may contain only numbers, texts, sequences, arrays and structures.
 pub fn encode(message: &impl Serialize) -> Vec<u8> {
     let mut bytes = HEADER.to_vec();
-    // Writing to a `Vec` cannot fail, and padding counts from the end of the header.
+    // Writing to a `Vec` cannot fail. Padding is counted from the end of the header.
     let _ = cdr_encoding::to_writer::<_, LittleEndian, _>(&mut bytes, message);
     bytes
 }

@@ -81,7 +81,7 @@ topics! {
     Imu: message::Imu = "/hands/right/imu",
     /// The same readings in ROS's unit: tesla.
     Magnetic: message::MagneticField = "/hands/right/mag",
-    /// What the hands say.
+    /// The state of both hands.
     Hands: bimanual::Hands = "/hands/state",
     /// All events.
     Events: bimanual::Event = "/events",
@@ -101,7 +101,7 @@ topics! {
     Transforms: message::TfMessage = "/tf",
     /// The number of messages that were lost because the disk was too slow.
     Lost: bimanual::Lost = "/bridge/lost",
-    /// The robot itself begins or ceases to refuse motion.
+    /// The start or the end of a refusal of motion by the robot itself.
     Refused: bimanual::Refused = "/bridge/refused",
     /// Starts and ends of episodes, as marked by the operator.
     Marks: bimanual::Mark = "/episodes/marks",

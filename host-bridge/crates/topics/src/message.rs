@@ -1,8 +1,8 @@
-//! The ROS 2 messages that are spoken here, field by field as in the Jazzy packages: over DDS, in the files of
-//! sessions and to Foxglove ([`crate::Topic`]).
+//! The ROS 2 messages that this program uses, with the same fields as in the Jazzy packages.
+//! The program uses these messages over DDS, in session files and for Foxglove ([`crate::Topic`]).
 //!
-//! Arrays of 36 are written as 6 × 6, which is the same on the wire. [`crate::values`] makes them from what the bridge
-//! computes with.
+//! Arrays of 36 values are written as 6 × 6, which is the same on the wire.
+//! [`crate::values`] creates them from the bridge's own values.
 
 use crate::schema::messages;
 
@@ -11,7 +11,7 @@ messages! {
     "builtin_interfaces/Time" Time: Copy, Eq {
         /// Seconds.
         sec: i32,
-        /// Nanoseconds on top.
+        /// Nanoseconds after the full second.
         nanosec: u32,
     }
 
@@ -65,7 +65,7 @@ messages! {
 
     /// `geometry_msgs/TwistStamped`.
     "geometry_msgs/TwistStamped" TwistStamped {
-        /// When it was decided, and in which frame.
+        /// Time of the decision, and the frame of the speed.
         header: Header,
         /// Speed.
         twist: Twist,
@@ -77,6 +77,14 @@ messages! {
         position: Point,
         /// Unit quaternion.
         orientation: Quaternion,
+    }
+
+    /// `geometry_msgs/PoseStamped`.
+    "geometry_msgs/PoseStamped" PoseStamped {
+        /// When it was measured, and in which frame.
+        header: Header,
+        /// Where.
+        pose: Pose,
     }
 
     /// `geometry_msgs/PoseWithCovariance`.
@@ -101,9 +109,9 @@ messages! {
         header: Header,
         /// Frame of the speed.
         child_frame_id: String,
-        /// Where the base is.
+        /// Position of the base.
         pose: PoseWithCovariance,
-        /// How it moves.
+        /// Speed of the base.
         twist: TwistWithCovariance,
     }
 
@@ -145,7 +153,7 @@ messages! {
         effort: Vec<f64>,
     }
 
-    /// `sensor_msgs/Imu`. A covariance that begins with -1 says that there is no such reading.
+    /// `sensor_msgs/Imu`. A covariance that begins with -1 means that there is no such reading.
     "sensor_msgs/Imu" Imu {
         /// When, and of which part.
         header: Header,
@@ -177,7 +185,7 @@ messages! {
     "rcl_interfaces/Log" Log {
         /// When.
         stamp: Time,
-        /// 20 = to know, 30 = a warning.
+        /// 20 = information, 30 = warning.
         level: u8,
         /// Who says it.
         name: String,
@@ -201,17 +209,17 @@ messages! {
         accelerations: Vec<f64>,
         /// Nm.
         effort: Vec<f64>,
-        /// When, from the start.
+        /// Time since the start of the trajectory.
         time_from_start: Time,
     }
 
-    /// `trajectory_msgs/JointTrajectory`. A stamp of zero means that it starts on arrival.
+    /// `trajectory_msgs/JointTrajectory`. A stamp of zero means that the trajectory starts on arrival.
     "trajectory_msgs/JointTrajectory" JointTrajectory {
         /// Start.
         header: Header,
         /// Joints in the order of the values.
         joint_names: Vec<String>,
-        /// In order of time; the last one rests.
+        /// Points in order of time; the arm rests at the last one.
         points: Vec<JointTrajectoryPoint>,
     }
 
@@ -223,7 +231,7 @@ messages! {
         velocities: Vec<Twist>,
         /// Accelerations.
         accelerations: Vec<Twist>,
-        /// When, from the start.
+        /// Time since the start of the trajectory.
         time_from_start: Time,
     }
 
@@ -263,41 +271,42 @@ messages! {
         acceleration: f64,
     }
 
-    /// Goal of `control_msgs/action/FollowJointTrajectory`. Empty tolerances mean those of the controller.
+    /// Goal of `control_msgs/action/FollowJointTrajectory`.
+    /// Empty tolerances select the controller's own tolerances.
     "control_msgs/FollowJointTrajectory_Goal" FollowGoal {
         /// The motion.
         trajectory: JointTrajectory,
         /// Unused.
         multi_dof_trajectory: MultiDofTrajectory,
-        /// On the way.
+        /// Tolerances along the path.
         path_tolerance: Vec<JointTolerance>,
         /// Unused.
         component_path_tolerance: Vec<JointComponentTolerance>,
-        /// At the end.
+        /// Tolerances at the end.
         goal_tolerance: Vec<JointTolerance>,
         /// Unused.
         component_goal_tolerance: Vec<JointComponentTolerance>,
-        /// How late the end may be.
+        /// Maximum delay of the end.
         goal_time_tolerance: Time,
     }
 
-    /// Its result.
+    /// Result of `control_msgs/action/FollowJointTrajectory`.
     "control_msgs/FollowJointTrajectory_Result" FollowResult {
         /// 0 = successful.
         error_code: i32,
-        /// What went wrong.
+        /// The text of the error.
         error_string: String,
     }
 
-    /// Its feedback, as far as it is used: what follows differs between releases and is not read.
+    /// Feedback of the same action. The later fields differ between releases, and are not read.
     "control_msgs/FollowJointTrajectory_Feedback" FollowFeedback {
         /// When.
         header: Header,
         /// Joints.
         joint_names: Vec<String>,
-        /// Where the arm should be.
+        /// The requested state of the arm.
         desired: JointTrajectoryPoint,
-        /// Where it is.
+        /// The measured state of the arm.
         actual: JointTrajectoryPoint,
     }
 
@@ -307,29 +316,29 @@ messages! {
         data: String,
     }
 
-    /// `control_msgs/GripperCommand`: a position as the gripper's own joint has it.
+    /// `control_msgs/GripperCommand`, with a position in the gripper joint's own units.
     "control_msgs/GripperCommand" GripperCommand: Copy {
         /// In the joint's own units.
         position: f64,
-        /// The largest force; 0 = the controller's own.
+        /// Maximum force; 0 selects the controller's default.
         max_effort: f64,
     }
 
     /// Goal of `control_msgs/action/GripperCommand`.
     "control_msgs/GripperCommand_Goal" GripGoal: Copy {
-        /// Where to.
+        /// The requested position and force.
         command: GripperCommand,
     }
 
-    /// Its result, and its feedback.
+    /// Result and feedback of `control_msgs/action/GripperCommand`.
     "control_msgs/GripperCommand_Result" GripResult: Copy {
         /// In the joint's own units.
         position: f64,
         /// The force.
         effort: f64,
-        /// It is stopped by something, and pushes.
+        /// Whether something stops the fingers while they push.
         stalled: bool,
-        /// It is where it should be.
+        /// Whether the requested position was reached.
         reached_goal: bool,
     }
 
@@ -339,17 +348,17 @@ messages! {
         command: JointState,
     }
 
-    /// Its result.
+    /// Result of `control_msgs/action/ParallelGripperCommand`.
     "control_msgs/ParallelGripperCommand_Result" ParallelResult {
         /// One joint.
         state: JointState,
-        /// It is stopped by something, and pushes.
+        /// Whether something stops the fingers while they push.
         stalled: bool,
-        /// It is where it should be.
+        /// Whether the requested position was reached.
         reached_goal: bool,
     }
 
-    /// Its feedback.
+    /// Feedback of `control_msgs/action/ParallelGripperCommand`.
     "control_msgs/ParallelGripperCommand_Feedback" ParallelFeedback {
         /// One joint.
         state: JointState,
@@ -371,13 +380,13 @@ messages! {
 
     /// `diagnostic_msgs/DiagnosticStatus`.
     "diagnostic_msgs/DiagnosticStatus" DiagnosticStatus: Eq {
-        /// One of [`DiagnosticStatus::OK`] and so on.
+        /// One of the constants [`DiagnosticStatus::OK`] and so on.
         level: u8,
         /// `node: part`.
         name: String,
-        /// In a few words.
+        /// The state in a few words.
         message: String,
-        /// Which board.
+        /// The board that is described.
         hardware_id: String,
         /// Details.
         values: Vec<KeyValue>,
@@ -391,22 +400,22 @@ messages! {
         status: Vec<DiagnosticStatus>,
     }
 
-    /// `rosgraph_msgs/Clock`: a simulation's time.
+    /// `rosgraph_msgs/Clock`: the time of a simulation.
     "rosgraph_msgs/Clock" Clock: Copy, Eq {
         /// Now.
         clock: Time,
     }
 
-    /// `control_msgs/JointTrajectoryControllerState`, as far as it is used: what follows differs between releases and is not
-    /// read.
+    /// `control_msgs/JointTrajectoryControllerState` up to the last field that is used.
+    /// The later fields differ between releases, and are not read.
     "control_msgs/JointTrajectoryControllerState" ControllerState {
         /// When.
         header: Header,
         /// Joints.
         joint_names: Vec<String>,
-        /// Where the controller wants the arm to be now.
+        /// The controller's current set point for the arm.
         reference: JointTrajectoryPoint,
-        /// Where it is.
+        /// The measured state of the arm.
         feedback: JointTrajectoryPoint,
     }
 }

@@ -51,7 +51,8 @@ impl Frames {
     }
 }
 
-/// Returns the base in the world, the arm's base relative to it, and the links and flange relative to that.
+/// Returns three groups of transforms.
+/// They are the base in the world, the arm's base on it, and the arm's links with the flange.
 pub fn transforms(
     robot: &dyn Door,
     picture: &Picture,
@@ -301,7 +302,8 @@ impl Origin {
         Entry::new(Topic::Odometry, now.time_ms, &odometry)
     }
 
-    /// Reports the base in the world, the arm's base relative to it, and the links and flange relative to that.
+    /// Reports three groups of transforms.
+    /// They are the base in the world, the arm's base on it, and the arm's links with the flange.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
         let (picture, model) = (now.robot.picture(), now.robot.setting());
         let message =

@@ -38,7 +38,7 @@ impl<T: Field> Field for Vec<T> {
 impl<T: Field, const N: usize> Field for [T; N] {
     const TYPE: &'static str = T::TYPE;
 
-    /// ROS 2 has no nested arrays; on the wire they are one long array.
+    /// ROS 2 has no nested arrays. On the wire, a nested array is one long array.
     fn many() -> String {
         let inner = T::many().trim_matches(['[', ']']).parse().unwrap_or(1);
         format!("[{}]", N * inner)

@@ -40,7 +40,7 @@ impl<O: Outlet> Teller<O> {
         self.outlet.put(entry);
     }
 
-    /// Writes all steps so far, before a message whose position among them matters.
+    /// Writes all steps so far, before a message whose position relative to the steps matters.
     fn put_turns(&mut self) {
         if !self.turns.is_empty() {
             let entry = self.origin.turns(self.time_ms, &self.turns);

@@ -18,7 +18,7 @@ impl Time {
         Time { sec: i32::try_from(since.as_secs()).unwrap_or(i32::MAX), nanosec: since.subsec_nanos() }
     }
 
-    /// Creates a duration in seconds; negative ones become zero.
+    /// Creates a duration from seconds. Negative values become zero.
     pub fn after_s(seconds: f64) -> Self {
         let nanoseconds = (seconds.max(0.0) * 1e9).round() as u64;
         Time::at_ns(nanoseconds)
@@ -70,7 +70,7 @@ impl From<base::Twist> for Twist {
     }
 }
 
-/// Expands a covariance to x, y, z and the rotations about them. Our entries are placed at `places`.
+/// Expands a covariance to x, y, z and the rotations about these axes. Our entries are placed at `places`.
 fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]; 6] {
     let mut all = [[0.0; 6]; 6];
     for (row, values) in ours.iter().enumerate() {
@@ -82,7 +82,7 @@ fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]
 }
 
 impl Odometry {
-    /// Creates odometry with covariances; that of the speed applies to [`SPEED_INTERVAL_S`].
+    /// Creates odometry with covariances. The covariance of the speed applies to [`SPEED_INTERVAL_S`].
     pub fn of(robot: &Picture, wheels: &BaseConfig, header: Header, child_frame_id: String) -> Self {
         let odometry = robot.odometry;
         let of_speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);

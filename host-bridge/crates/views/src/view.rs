@@ -1,4 +1,4 @@
-//! The live view in a terminal: one screen that is redrawn completely.
+//! The live view in a terminal: one screen, which is completely redrawn each time.
 
 use std::collections::VecDeque;
 use std::io::{self, Stdout, Write as _};

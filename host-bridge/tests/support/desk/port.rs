@@ -11,20 +11,21 @@ use serialport::{SerialPort as _, TTYPort};
 static STARTING: Mutex<()> = Mutex::new(());
 
 /// A lock that every start of a program must hold.
-/// A program that starts while a pseudo-terminal is created would inherit the board's side, and the test could then
-/// no longer disconnect the cable.
+/// A program that starts while a pseudo-terminal is created would inherit the board's side.
+/// The test could then no longer disconnect the cable.
 pub fn alone() -> MutexGuard<'static, ()> {
     STARTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns both sides of a pseudo-terminal: the board's, which no program inherits, and the laptop's.
+/// Returns both sides of a pseudo-terminal:
+/// the board's side, which no program inherits, and the laptop's side.
 ///
 /// # Panics
 /// Panics if the system has no free pseudo-terminal.
 pub fn pair() -> (TTYPort, TTYPort) {
     let _alone = alone();
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-    // Safety: the port gives up ownership of its descriptor. Programs do not inherit the copy.
+    // Safety: the port gives up ownership of its descriptor. Programs do not inherit the copied descriptor.
     let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
     let copy = board.try_clone().expect("a descriptor");
     // SAFETY: this is the same case as above.

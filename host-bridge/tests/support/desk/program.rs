@@ -12,8 +12,8 @@ use std::time::{Duration, Instant};
 
 use super::time::{Process, Time};
 
-/// Time limit for a wait. It uses the test's time, or wall-clock time for programs that do not use the test's time,
-/// so that a test cannot hang forever.
+/// Time limit for a wait, so that a test cannot hang forever.
+/// The limit uses the test's time, or wall-clock time for programs that do not use the test's time.
 pub const PATIENCE: Duration = Duration::from_secs(240);
 
 /// A temporary folder for one test, and the test's time.
@@ -64,7 +64,7 @@ impl Desk {
         Running::new(&self.time, self.time.spawn(&mut command), outputs)
     }
 
-    /// Starts a program that uses wall-clock time. The desk's time stops while a test waits for it.
+    /// Starts a program that uses wall-clock time. The desk's time stands still while a test waits for it.
     ///
     /// # Panics
     /// Panics if the program does not start.

@@ -15,7 +15,7 @@ const GONE: Duration = Duration::from_millis(200);
 pub trait Board {
     /// Milliseconds since power-on, including resets.
     fn now_ms(&self) -> u64;
-    /// Runs until this time, which the board's start may already have passed.
+    /// Runs until this time. The board's start may already have passed this time.
     fn run_until_ms(&mut self, ms: u64);
     /// Returns the bytes sent since the last call.
     fn sent(&mut self) -> Vec<u8>;
@@ -23,11 +23,12 @@ pub trait Board {
     fn receive(&mut self, bytes: &[u8]);
     /// Called when the laptop opens or closes the port.
     fn opened(&mut self, open: bool);
-    /// Called when the cable is disconnected, which may be the board's only power supply.
+    /// Called when the cable is disconnected. The cable may be the board's only power supply.
     fn pulled(&mut self);
     /// Called when the cable is connected: the board starts, and its port exists when this returns.
     fn plugged(&mut self);
-    /// Presses the reset button. Returns true if the port disappears and returns, as on a board with native USB.
+    /// Presses the reset button.
+    /// Returns true if the port disappears and returns, as on a board with native USB.
     fn restart(&mut self) -> bool;
 }
 

@@ -1,8 +1,9 @@
 //! A common time for boards, cables and programs, in steps of a millisecond.
 //!
-//! A step ends when every board has run for a millisecond and every thread of every program waits for a later time.
+//! A step ends when every board has run for a millisecond,
+//! and every thread of every program waits for a later time.
 //! The programs' part is `test_clock.rs` (feature `test-clock`).
-//! Between two steps the time stands still, so a busy machine slows a test down but causes no delay within it.
+//! Between two steps, the time stands still. A busy machine slows a test down, but causes no delay within it.
 
 use std::cell::{Cell, RefCell};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -15,7 +16,7 @@ use std::time::{Duration, Instant};
 use super::port::alone;
 
 /// Limit in wall-clock time for one step, or for the start of a program.
-/// It is much longer than a busy machine needs, and only prevents a test from hanging forever.
+/// The limit is much longer than a busy machine needs, and only prevents a test from hanging forever.
 const PATIENCE: Duration = Duration::from_secs(240);
 /// Maximum delay that [`Time::keep_pace`] catches up with. It ignores longer delays.
 const MADE_UP: Duration = Duration::from_millis(20);

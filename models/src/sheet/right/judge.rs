@@ -10,23 +10,26 @@ use super::names::G;
 
 /// Fewer samples are not enough for an inference.
 const ENOUGH: usize = 20;
-/// A window of half a second is at rest if its deviation is a smaller fraction of its mean.
+/// A window of half a second is at rest if its deviation is less than this fraction of its mean.
 const REST: f32 = 0.03;
 /// Range of gravity at rest in g; sensors have errors of several per cent.
 const ONE_G: std::ops::RangeInclusive<f32> = 0.85..=1.17;
-/// If fewer windows are at rest and they do not show gravity, they may not be real rest.
+/// If a smaller fraction of the windows is at rest and does not show gravity, this may not be real rest.
 const FEW: f32 = 0.25;
 /// Maximum variation of gravity between windows at rest. Real sensors vary by up to 0.07.
 /// If gravity was subtracted, the remaining acceleration varies with the tilt of the hand.
 const APART: f32 = 0.2;
 /// Maximum deviation of all samples relative to gravity; real recordings reach at most 1.8.
 const WILDEST: f32 = 2.5;
-/// For a hand that never rests: minimum mean acceleration relative to the median magnitude. Below it, gravity is missing.
-/// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have values of 0.36 to 1.
+/// Minimum mean acceleration of a hand that never rests, relative to the median magnitude.
+/// Below this value, gravity is missing.
+/// Gravity keeps its direction, while the hand's own acceleration averages to zero.
+/// Real recordings have values of 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
-/// Minimum mean if the unit seems to be g; it also applies relative to the deviation.
-/// This minimum is stricter, because movement without gravity has a similar magnitude in m/s².
-/// Of 426 real recordings in g, one is below this value. Two thirds of the recordings of linear acceleration are below it.
+/// Minimum mean if the unit seems to be g. The same minimum applies relative to the deviation.
+/// The minimum is stricter for g, because movement without gravity has a similar magnitude in m/s².
+/// Of 426 real recordings in g, one is below this value.
+/// Two thirds of the recordings of linear acceleration are below it.
 const LEAST_MEAN_IN_G: f32 = 0.4;
 const LEAST_MEAN_OF_DEVIATION: f32 = 0.45;
 /// Range of the median magnitude of a moving hand's acceleration, in g.
@@ -35,7 +38,8 @@ pub(super) const HEAVIEST: f32 = 3.2;
 /// Range of the ratio between the deviations of turn rate and acceleration (in m/s²) if the turn rate is in rad/s.
 /// Below this range, the hand does not rotate, or the gyroscope is defective.
 const TURNS: std::ops::Range<f32> = 0.02..1.6;
-/// With less movement (in m/s²), rotation proves nothing, for example if a hand rests in a car.
+/// If the hand moves less than this (in m/s²), rotation proves nothing.
+/// For example, a hand may rest in a car.
 const MOVES: f32 = 2.0;
 
 /// What acceleration looks like.

@@ -16,7 +16,7 @@ pub(super) struct Source {
     pub columns: [usize; 3],
     /// Columns to add to the others: gravity, if a program stores it separately.
     pub plus: Option<[usize; 3]>,
-    /// Factor to our unit, if the columns' names declare one.
+    /// Factor to our unit, if the columns' names declare a unit.
     pub factor: Option<f64>,
     /// Factor that such names usually imply.
     pub usual: Option<f64>,
@@ -38,13 +38,14 @@ pub(super) struct Layout {
 }
 
 /// Names of columns that the user gives with `--columns`.
-/// They may be our names in the order of the file (`time,accX,accY,accZ,-,-`).
-/// They may also be pairs of our names and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
+/// The names may be ours in the order of the file (`time,accX,accY,accZ,-,-`).
+/// They may also be pairs of our name and the file's name, such as `accX=ax_raw,accY=ay_raw,…`.
+/// A number also selects a column: `time=1` means the first column.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Columns {
     /// Our name for each column of the file; `None` means unused.
     InOrder(Vec<Option<String>>),
-    /// Our name, and the name or number (from 1) in the file.
+    /// Our name for a column, and the column's name or number (from 1) in the file.
     Named(Vec<(String, String)>),
 }
 
@@ -282,7 +283,7 @@ impl Group {
         self.axes.iter().all(Option::is_some)
     }
 
-    /// Returns whether more than one name was recognised, because a single one may be accidental.
+    /// Returns whether more than one name was recognised, because a single name may be accidental.
     fn is_meant(&self, header: &[String]) -> bool {
         let known = |at: usize| AXIS_NAMES.contains(&header[at].as_str());
         !self.is_whole()

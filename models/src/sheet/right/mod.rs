@@ -18,7 +18,7 @@ use super::reader::{ColumnTable, Format, Problem, ReadCell, Rows, is_unit_of_tim
 use super::{Reading, SENSORS, Sensor, Sheet, clock, text};
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError, SAME_RATE};
 
-/// A blank line with a longer pause in ms begins another recording.
+/// A blank line begins another recording if the pause is longer than this, in ms.
 const PAUSE_MS: f64 = 1000.0;
 
 /// Samples that belong to one recording in a file.
@@ -169,7 +169,7 @@ impl Take {
         unit.is_some_and(|unit| step * unit > PAUSE_MS)
     }
 
-    /// Converts times to ms, and counts those that are equal.
+    /// Converts times to ms, and counts equal times.
     fn clocked(
         &mut self,
         file: &Path,
@@ -270,7 +270,8 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// Returns a sensor's samples at these times, or `None` if its times do not cover them to within 0.2 s.
+    /// Returns a sensor's samples at these times.
+    /// Returns `None` if the sensor's own times do not cover these times to within 0.2 s.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];

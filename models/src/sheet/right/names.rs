@@ -5,7 +5,7 @@ use crate::sheet::Sensor;
 /// Gravity in m/s², by definition.
 pub(crate) const G: f64 = 9.806_65;
 
-/// Units of each sensor: their spelling in lower case, and how many of our units (m/s², deg/s, µT) one of them is.
+/// Units of each sensor: the spelling in lower case, and the size of the unit in our units (m/s², deg/s, µT).
 const ACCELERATION: &[(&str, f64)] = &[
     ("m/s2", 1.0),
     ("m/s²", 1.0),
@@ -56,7 +56,7 @@ pub(crate) fn units(sensor: Sensor) -> &'static [(&'static str, f64)] {
     }
 }
 
-/// Returns how many of our units one such unit is, if it belongs to this sensor.
+/// Returns the size of this unit in our units, if it belongs to this sensor.
 pub(crate) fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     let unit = unit.trim().to_lowercase();
     units(sensor).iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
@@ -69,7 +69,7 @@ pub(super) enum Kind {
     GForce,
     /// Acceleration including gravity.
     Acceleration,
-    /// Acceleration whose name says that gravity was removed.
+    /// Acceleration in a column whose name says that gravity was removed.
     Linear,
     /// Gravity alone.
     Gravity,
@@ -85,7 +85,7 @@ pub(super) struct Named {
     pub kind: Kind,
     /// 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// Factor to our unit, if the name declares one.
+    /// Factor to our unit, if the name declares a unit.
     pub factor: Option<f64>,
     /// Factor that names like this one usually imply, if it differs from ours.
     pub usual: Option<f64>,

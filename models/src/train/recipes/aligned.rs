@@ -1,6 +1,6 @@
 //! Recipe `aligned`, for people who are not in the training data.
 //!
-//! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]).
+//! The recipe uses features in the hand's own frame ([`shared_dsp::right::aligned`]).
 //! Windows are varied to simulate other hands.
 //! The recipe adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
 
@@ -39,7 +39,8 @@ pub struct Aligned {
     /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who make gestures that the simulator knows.
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
-    /// Real people whose daily movement also provides examples of `other`; only with `bystanders`.
+    /// Real people whose daily movement also provides examples of `other`.
+    /// The daily movement is used only together with `bystanders`.
     pub daily: Daily,
 }
 
@@ -103,7 +104,7 @@ impl Recipe for Aligned {
 
     fn beside(&self, axes: usize, labels: &[String]) -> Beside {
         let mut beside = Beside::default();
-        // With the label `idle`, they would teach the model that slow movement is rest.
+        // With the label `idle`, the bystanders would teach the model that slow movement is rest.
         let no_gesture = labels.iter().position(|label| label == OTHER).filter(|_| self.bystanders > 0);
         let (mut bystanders, mut everyday) = (0, 0);
         if let Some(label) = no_gesture {
@@ -144,7 +145,7 @@ impl Recipe for Aligned {
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
-    /// Varied windows are more extreme than real ones, so they would waste a part of the int8 range.
+    /// Varied windows are more extreme than real windows, so they would waste a part of the int8 range.
     fn calibration(&self) -> Calibration {
         Calibration::Real
     }

@@ -1,5 +1,6 @@
 //! Recipe `log-power`: features per axis with logarithmic powers, trained until convergence.
-//! Like the paper's recipe, it uses the axes of the board. It can therefore distinguish gestures that mirror each other.
+//! Like the paper's recipe, this recipe uses the axes of the board.
+//! It can therefore distinguish gestures that mirror each other.
 
 use shared_dsp::right::kind::FeatureKind;
 

@@ -40,7 +40,8 @@ pub extern "C" fn main() {
     // SAFETY: this is the only reference to the static.
     let window = unsafe { &mut *core::ptr::addr_of_mut!(WINDOW) };
     let (mut worst, mut best, mut total, mut hops) = (0, u32::MAX, 0u64, 0u64);
-    // The window has 25 places for blocks and 24 for frames. This number of hops covers every combination of both.
+    // The window has 25 places for blocks and 24 for frames.
+    // This number of hops covers every combination of a block's place and a frame's place.
     for hop in 0..25 + 24 * 25 {
         let samples: [[f32; 9]; 8] = core::array::from_fn(|i| checks::sample(windows, 8 * hop + i));
         let window = black_box(&mut *window);

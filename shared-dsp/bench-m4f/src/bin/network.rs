@@ -1,4 +1,4 @@
-//! Parses a model and runs it once. Compared to `empty`, the additional size is the flash of the network.
+//! Parses a model and runs it once. Its size minus the size of `empty` is the flash that the network needs.
 #![no_std]
 #![no_main]
 

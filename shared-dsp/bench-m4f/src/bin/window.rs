@@ -1,4 +1,5 @@
-//! Computes features. Compared to `empty`, the additional size is their flash, and .bss is their RAM.
+//! Computes features.
+//! Its size minus the size of `empty` is the flash that the features need, and .bss is their RAM.
 #![no_std]
 #![no_main]
 

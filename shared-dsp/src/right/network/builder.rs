@@ -59,7 +59,7 @@ pub struct BlobSpec {
     /// (a, b) for each feature: input = round(a · feature + b). This is applied after the recipe.
     /// To standardise and quantise, set a = 1 / (deviation · input scale) and b = zero point − mean · a.
     pub scaling: Vec<(f32, f32)>,
-    /// The layers in order. A softmax, which uses the last layer's output scale, follows them.
+    /// The layers in order. After them, a softmax uses the output scale of the last layer.
     pub layers: Vec<DenseSpec>,
 }
 
@@ -67,9 +67,9 @@ pub struct BlobSpec {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// Sizes contradict each other or exceed a maximum. The text describes which ones.
+    /// Sizes contradict each other or exceed a maximum. The text describes these sizes.
     Shape(String),
-    /// A number cannot be represented. The text describes which one.
+    /// A number cannot be represented. The text describes this number.
     Value(String),
     /// The finished blob cannot be parsed.
     Parse(ModelError),
@@ -263,7 +263,7 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
 fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
     let one = |&weight_scale: &f32| {
         // TFLite multiplies and divides the scales as doubles.
-        // Older releases used floats for the scale of a whole tensor, and one output in 400,000 then differs.
+        // Older releases used floats for the scale of a whole tensor. One output in 400,000 then differs.
         let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
         // If all weights of a row are zero, it has no scale. TFLite then multiplies by 0, and our result is also 0 for every 32-bit sum.

@@ -16,21 +16,21 @@ pub enum ModelError {
     Version(u8),
     /// This image does not support the recipe.
     Recipe(u8),
-    /// A number in the header is out of range or contradicts another one.
+    /// A number in the header is out of range or contradicts another number.
     Header,
     /// A scaling factor is not finite.
     Scaling {
         /// Index of the feature.
         feature: usize,
     },
-    /// A layer's size, multiplier or shift is out of range, or the layer does not fit the previous one.
+    /// A layer's size, multiplier or shift is out of range, or the layer does not fit the previous layer.
     Layer {
         /// Index of the layer.
         layer: usize,
     },
     /// The table of exponentials does not start at 1 or does not decrease.
     ExponentialTable,
-    /// The labels are empty, are not printable ASCII, or have a wrong number.
+    /// The labels are empty or not printable ASCII, or their number is wrong.
     Labels,
 }
 

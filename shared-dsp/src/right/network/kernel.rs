@@ -1,7 +1,7 @@
 //! The inner loop of a dense layer. It processes four rows at a time, with two multiply-accumulates per instruction.
 //!
 //! A Cortex-M4F multiplies two pairs of 16-bit numbers in one instruction (SMLAD).
-//! However, int8 numbers must first be widened, which takes as long again.
+//! However, int8 numbers must first be widened, which takes the same time again.
 //! The following algebra avoids most of this work. For two adjacent weights (w0, w1) and inputs (x0, x1), let
 //!
 //! ```text
@@ -12,7 +12,7 @@
 //! ```
 //!
 //! The code multiplies raw half-words of weights and inputs, and widens only the low byte of each.
-//! It then shifts the sum right by 8.
+//! The code then shifts the sum right by 8.
 //! The remaining terms are equal for all inputs, so the blob's builder subtracts them from the bias.
 
 /// Number of bias bytes at the start of a block of four rows.
@@ -94,7 +94,7 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
 }
 
 /// Computes a layer whose rows have individual scales.
-/// It works like [`layer`], but also reads [`ROW_SCALE_BYTES`] of `scales` for every four outputs.
+/// The function works like [`layer`], but also reads [`ROW_SCALE_BYTES`] of `scales` for every four outputs.
 /// The zero point and minimum output of `shared` apply to all rows, and no output exceeds `largest`.
 #[cfg_attr(cortex_m4f, inline(never))]
 pub(crate) fn layer_per_row(
@@ -319,7 +319,7 @@ mod cortex_m4f {
         ".text",
     );
 
-    /// The beginning of [`Arguments`], and where the sums are written.
+    /// The first fields of [`Arguments`], and the place where the sums are written.
     #[repr(C)]
     struct SumArguments {
         inputs: *const Quad, // 0
@@ -341,7 +341,8 @@ mod cortex_m4f {
         if fits {
             let arguments = SumArguments { inputs: inputs.as_ptr(), quads: inputs.len(), block_bytes, sums };
             // SAFETY: the block is aligned and matches the inputs' length.
-            // The routine reads both, writes the sums, and follows the procedure call standard.
+            // The routine reads the block and the inputs, and writes the sums.
+            // It follows the procedure call standard.
             unsafe { bimanual_sums(&arguments, block.as_ptr()) };
         }
         fits

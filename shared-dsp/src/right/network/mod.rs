@@ -29,15 +29,17 @@
 //! | | text | labels in order, separated by commas; printable ASCII, padded with zeros |
 //!
 //! Each layer starts with a header of 12 bytes.
-//! The header contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
-//! minimum output i8, and 0.
-//! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self).
-//! This order is four columns of rows 0, 1, 2 and 3, then the next four columns of these rows.
+//! The header contains the inputs (u16), the outputs (u16) and the multiplier (i32 in 2³⁰..2³¹).
+//! After these, it contains the right shift (u8 in 1..=62), the output zero point (i8),
+//! the minimum output (i8), and 0.
+//! For every four outputs, four biases (i32) follow, and then the weights in the order of [`kernel`](self).
+//! First come the weights of rows 0, 1, 2 and 3 for the first four columns.
+//! Then come the weights of these rows for the next four columns.
 //! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
-//! The header's multiplier is then 0, and the maximum output i8 replaces the shift.
-//! After the weights, four multipliers i32 and four shifts u8 follow for every four outputs.
+//! The header's multiplier is then 0, and the maximum output (i8) replaces the shift.
+//! After the weights, four multipliers (i32) and four shifts (u8) follow for every four outputs.
 
 #[cfg(feature = "build")]
 mod builder;
@@ -133,7 +135,7 @@ struct Dense<'a> {
     blocks: &'a [u8],
     /// Scales of the rows if each row has its own; otherwise empty.
     row_scales: &'a [u8],
-    /// 1 if each row has its own scale, 0 if all rows share one.
+    /// 1 if each row has its own scale, 0 if all rows share a scale.
     per_row: u8,
 }
 
@@ -247,7 +249,8 @@ impl<'a> Model<'a> {
         let mut last = i32::MAX;
         for (index, word) in exponentials.iter().enumerate() {
             let value = i32::from_le_bytes(*word);
-            // The first value is 1. A sum of 16 values stays in range because no value is larger or negative.
+            // The first value is 1.
+            // A sum of 16 values stays in range, because each value is between 0 and the first value.
             if value < 0 || value > last || (index == 0 && value != i32::MAX) {
                 return Err(ModelError::ExponentialTable);
             }
@@ -330,7 +333,8 @@ impl<'a> Model<'a> {
         ((a * value + b + 128.5) as i32).clamp(0, 255) - 128
     }
 
-    /// Converts int8 inputs to int8 scores, one per label: (score + 128) / 256 is the probability. It uses no floats.
+    /// Converts int8 inputs to int8 scores, one per label, without floats.
+    /// The probability is (score + 128) / 256.
     ///
     /// # Errors
     /// Fails if the number of inputs or scores differs from the model's.
@@ -402,8 +406,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    // This is a separate function, so that the code that fills the inputs exists only once.
-    // Its stack is free again before the layers run.
+    // The code that fills the inputs is in a separate function, so that it exists only once.
+    // The stack of this function is free again before the layers run.
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];

@@ -8,11 +8,11 @@ const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
 /// Value of CONTROL with an active floating-point unit: FPCA and SFPA.
-/// Without SFPA, unicorn (in which all code is secure) starts a new context at the next floating-point instruction
-/// and clears its flags.
+/// Unicorn treats all code as secure.
+/// Without SFPA, the next floating-point instruction would therefore start a new context and clear the flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
-/// A jump to this address or a higher one ends a handler.
+/// A jump to this address or to a higher address ends a handler.
 const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
 
 /// Size in bytes of a frame on the stack, with and without the registers of the floating-point unit.
@@ -50,7 +50,8 @@ impl Board {
         };
         let mut table = self.soc().nvic.vector_table;
         if self.boot == Boot::SoftDevice && table == 0 {
-            // The table at 0 belongs to the MBR, which forwards to S140, which forwards to the application.
+            // The MBR owns the table at 0.
+            // The MBR forwards exceptions to S140, and S140 forwards them to the application.
             table = APPLICATION;
             self.spend(FORWARD_CYCLES);
             let soc = self.soc();
@@ -152,7 +153,8 @@ impl Board {
         }
     }
 
-    /// Begins a function of Nordic's controller, or continues it when a function that it called has returned.
+    /// Begins a function of Nordic's controller.
+    /// If a callback has returned, continues the function that called it.
     pub(super) fn function_called(&mut self, at: u32) {
         let args = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r));
         let lr = self.reg(RegisterARM::LR);
@@ -229,7 +231,7 @@ mod tests {
         0x2320, 0x061B, 0x6018, 0xE7FE, // r0 goes to the start of RAM; stay
     ];
 
-    /// The interrupt also compares (vcmp s1, s1), and then stores its result in r4.
+    /// The interrupt also performs a comparison (vcmp s1, s1), and then stores the result in r4.
     const COMPARE_ALSO: [u16; 6] = [0xEEF4, 0x0A60, 0x2120, 0x0609, 0x604C, 0x4770];
 
     #[test]

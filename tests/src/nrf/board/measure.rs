@@ -49,7 +49,7 @@ impl Board {
     }
 
     /// Like [`Self::probe`], and also measures the stack depth.
-    /// If such functions call each other, the depth of the outer one before the call is lost.
+    /// If measured functions call each other, the depth of the outer function up to that call is lost.
     pub fn probe_stack(&mut self, function: &str) -> usize {
         let probe = self.probe(function);
         self.uc.get_data_mut().painting.push(probe);

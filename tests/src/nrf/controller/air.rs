@@ -1,5 +1,7 @@
-//! The other process: bumble's controllers, the link between them, and bumble's device as the laptop, in step with the
-//! emulated board's virtual time (`tests/bumble/peer.py`).
+//! Starts and talks to the other process (`tests/bumble/peer.py`).
+//! The other process runs bumble's controllers and the radio link between them.
+//! It also runs bumble's device, which acts as the laptop.
+//! The process stays in step with the emulated board's virtual time.
 
 use std::collections::VecDeque;
 use std::io::{BufReader, Read, Write};
@@ -9,41 +11,42 @@ use std::sync::{Arc, Mutex};
 
 use serde_json::Value;
 
-/// What is asked of the other process.
+/// A kind of request to the other process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ask {
-    /// HCI packets of a board go over, and time goes on.
+    /// Passes HCI packets on from a board, and lets time advance.
     Packets = 0,
-    /// Neither side has heard the other for the supervision timeout.
+    /// Neither side has heard the other for as long as the supervision time-out.
     Lost = 1,
-    /// The board was reset: its radio is silent.
+    /// The board was reset, so its radio is silent.
     Silent = 2,
-    /// The laptop is to do something.
+    /// The laptop must perform an action.
     Laptop = 3,
 }
 
-/// Who sends in an answer, beside the boards.
+/// This value in an answer means that the laptop has sent it, and not a board.
 const LAPTOP: u8 = 0xFF;
 
-/// The process and what it has said.
+/// The other process, and what it has reported.
 pub struct Air {
     child: Child,
     to: ChildStdin,
     from: BufReader<ChildStdout>,
-    /// Cycle of its next timer.
+    /// Cycle at which the process's next timer expires.
     pub(super) due: u64,
     /// HCI packets for each board.
     pub(super) inbox: [VecDeque<Vec<u8>>; 2],
-    /// What the laptop did and noticed, with the cycle.
+    /// What the laptop did and noticed, with the cycle of each entry.
     pub log: Vec<(u64, Value)>,
     orders: u64,
 }
 
 impl Air {
-    /// Starts it.
+    /// Starts the process.
     ///
     /// # Panics
-    /// If the process does not start: `BIMANUAL_BUMBLE_PYTHON` names a Python with bumble, as `cargo xtask test` makes it.
+    /// Panics if the process does not start. `BIMANUAL_BUMBLE_PYTHON` selects the Python that has bumble.
+    /// By default, this is the Python that `cargo xtask test` sets up.
     pub fn start() -> Arc<Mutex<Self>> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let python = std::env::var_os("BIMANUAL_BUMBLE_PYTHON")
@@ -77,7 +80,7 @@ impl Air {
         bytes
     }
 
-    /// Asks, and takes in what there is to hear by then.
+    /// Sends a request, and stores everything that the process reports by this time.
     pub(super) fn ask(&mut self, what: Ask, board: u8, now: u64, content: &[u8]) {
         let mut request = vec![what as u8, board];
         request.extend(now.to_le_bytes());
@@ -97,7 +100,8 @@ impl Air {
         }
     }
 
-    /// Tells the laptop to do something; the number under which its outcome will stand in the log.
+    /// Tells the laptop to perform an action.
+    /// Returns the number under which the log will contain the outcome.
     pub(super) fn order(&mut self, now: u64, mut order: Value) -> u64 {
         self.orders += 1;
         order["id"] = self.orders.into();
@@ -105,7 +109,7 @@ impl Air {
         self.orders
     }
 
-    /// The outcome of an order.
+    /// Returns the outcome of an order if the log contains it.
     pub fn outcome(&self, order: u64) -> Option<&Value> {
         self.log.iter().map(|(_, said)| said).find(|said| said["id"] == order)
     }

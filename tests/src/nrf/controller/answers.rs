@@ -1,4 +1,4 @@
-//! Commands of HCI: what bumble's controller answers, and what is answered here in its place.
+//! Answers HCI commands. The answer comes either from bumble's controller or from this module.
 
 use super::super::soc::Soc;
 use super::commands::{self, Command, Length, Who};

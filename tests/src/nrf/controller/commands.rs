@@ -1,20 +1,22 @@
-//! The commands of the controller's C interface: each is a command of HCI with its arguments packed as there.
+//! The commands of the controller's C interface.
+//! Each command is an HCI command, and its arguments are packed in the same way.
 
-/// Where a command is answered.
+/// The place where a command is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Who {
-    /// By bumble's controller.
+    /// Bumble's controller answers.
     Bumble,
-    /// Here, because bumble's controller does not know it or answers for another chip.
+    /// The emulator answers.
+    /// Bumble's controller does not know the command, or would answer for another chip.
     Here,
 }
 
-/// How many bytes the arguments have.
+/// Number of bytes of the arguments.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Length {
-    /// Always these.
+    /// Always this number of bytes.
     Fixed(usize),
-    /// Fixed ones, of which the byte at `count` says how many elements of `each` bytes follow.
+    /// First come `fixed` bytes. The byte at `count` says how many elements follow, each of `each` bytes.
     Counted { fixed: usize, count: usize, each: usize },
 }
 
@@ -23,7 +25,7 @@ pub(super) enum Length {
 pub(super) struct Command {
     pub(super) opcode: u16,
     pub(super) arguments: Length,
-    /// Bytes that the function leaves behind its last pointer.
+    /// Number of bytes that the function stores at its last pointer.
     pub(super) returns: usize,
     pub(super) who: Who,
 }
@@ -40,7 +42,8 @@ const fn counted(opcode: u16, fixed: usize, count: usize, each: usize) -> Comman
     Command { opcode, arguments: Length::Counted { fixed, count, each }, returns: 0, who: Who::Bumble }
 }
 
-/// The command behind `sdc_hci_cmd_…`; lengths by the Core Specification, volume 4, part E.
+/// Returns the command that the function `sdc_hci_cmd_…` executes.
+/// The lengths are those in the Core Specification, volume 4, part E.
 pub(super) fn find(function: &str) -> Option<Command> {
     Some(match function.strip_prefix("sdc_hci_cmd_")? {
         "lc_disconnect" => bumble(0x0406, 3, 0),

@@ -1,26 +1,29 @@
-//! A connection's time, which bumble's link does not have: packets pass at connection events only, as many as fit; events
-//! are missed out of range and during time slots; silence ends the connection. All figures that rest on this are modelled.
+//! Models the timing of a connection, because bumble's link has none.
+//! Packets pass only at connection events, and each event carries only as many packets as fit.
+//! The link misses events when the laptop is out of range, and during time slots.
+//! Silence ends the connection.
+//! All figures that depend on this timing are modelled.
 
 use std::collections::VecDeque;
 
 use super::super::time::{ms, us};
 
-/// A unit of the interval.
+/// The unit of connection intervals.
 const UNIT: u64 = us(1250);
-/// Bytes of a packet without the data length extension.
+/// Maximum payload of a packet without the data length extension, in bytes.
 pub(super) const SHORT: u16 = 27;
-/// And with it.
+/// Maximum payload of a packet with the data length extension, in bytes.
 pub(super) const LONG: u16 = 251;
-/// Of an event, by the controller's default.
+/// Maximum duration of a connection event, which is the controller's default.
 const LONGEST_EVENT: u64 = us(7500);
-/// Preamble, address, header, check and message integrity of a packet, in bytes.
+/// Overhead of a packet in bytes: preamble, address, header, checksum and message integrity code.
 const OVERHEAD: u64 = 14;
-/// Between two packets.
+/// Time between two packets.
 const SPACE: u64 = us(150);
-/// The radio's work before the first and after the last packet.
+/// Time that the radio needs before the first packet and after the last packet.
 pub(super) const RAMPS: u64 = us(500);
 
-/// A connection as the radio has it.
+/// The radio's view of a connection.
 #[derive(Clone, Debug)]
 pub(super) struct Link {
     pub(super) handle: u16,
@@ -32,11 +35,11 @@ pub(super) struct Link {
     pub(super) octets: u16,
     pub(super) fast: bool,
     skipped: u16,
-    /// HCI data packets of the board that wait for an event.
+    /// HCI data packets from the board that wait for a connection event.
     pub(super) up: VecDeque<Vec<u8>>,
-    /// Packets and events for the board that come over the air.
+    /// Packets and events that arrive for the board over the air.
     pub(super) down: VecDeque<Vec<u8>>,
-    /// Events so far, and those that were missed.
+    /// Number of connection events so far, and number of missed connection events.
     pub(super) events: u64,
     pub(super) missed: u64,
 }
@@ -62,14 +65,14 @@ impl Link {
         link
     }
 
-    /// Interval in 1.25 ms, latency in events, supervision in 10 ms.
+    /// Sets the interval (in 1.25 ms), the latency (in events) and the supervision time-out (in 10 ms).
     pub(super) fn set(&mut self, [interval, latency, supervision]: [u16; 3]) {
         self.interval = u64::from(interval) * UNIT;
         self.latency = latency;
         self.supervision = ms(10 * u64::from(supervision));
     }
 
-    /// Cycle at which the connection is given up.
+    /// Returns the cycle at which the connection is given up.
     pub(super) fn lost_at(&self) -> u64 {
         self.heard_at + self.supervision
     }
@@ -82,7 +85,8 @@ impl Link {
         on_air + packets * SPACE
     }
 
-    /// An event: what passes up and down. The board sleeps through it if its latency allows and it has nothing to say.
+    /// Performs a connection event. Returns the packets that pass from the board and to the board.
+    /// The board sleeps through the event if its latency allows this and it has nothing to send.
     pub(super) fn event(&mut self, is_missed: bool) -> (Vec<Vec<u8>>, Vec<Vec<u8>>) {
         let at = self.next_event;
         self.next_event += self.interval;
@@ -124,12 +128,13 @@ mod tests {
     fn an_event_carries_what_fits_into_it_and_the_rest_waits() {
         let mut link = link();
         link.up.extend((0..20).map(|_| vec![0; 5 + 251]));
-        // 1 Mbit/s, packets of 27 bytes: a packet of 251 takes ten of them, 4.6 ms with spaces; one fits beside an answer.
+        // At 1 Mbit/s, 251 bytes take ten packets of 27 bytes, or 4.6 ms with the spaces.
+        // An event therefore has room for only one such block and an answer.
         assert_eq!(link.event(false).0.len(), 1);
-        // Long packets: 2.3 ms each, and an empty answer 0.3 ms.
+        // A long packet takes 2.3 ms, and an empty answer takes 0.3 ms.
         (link.octets, link.up) = (LONG, (0..20).map(|_| vec![0; 5 + 251]).collect());
         assert_eq!(link.event(false).0.len(), 2);
-        // At 2 Mbit/s: 1.2 ms and 0.2 ms.
+        // At 2 Mbit/s, the times are 1.2 ms and 0.2 ms.
         (link.fast, link.up) = (true, (0..20).map(|_| vec![0; 5 + 251]).collect());
         assert_eq!(link.event(false).0.len(), 4);
         assert_eq!(link.up.len(), 16);
@@ -153,7 +158,7 @@ mod tests {
         link.down.push_back(vec![0; 30]);
         let heard: Vec<usize> = (0..4).map(|_| link.event(false).1.len()).collect();
         assert_eq!(heard, [0, 0, 0, 1]);
-        // What the board has to say goes at once.
+        // If the board has something to send, it sends at the next event.
         link.up.push_back(vec![0; 30]);
         assert_eq!(link.event(false).0.len(), 1);
     }

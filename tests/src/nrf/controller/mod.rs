@@ -1,12 +1,17 @@
-//! Nordic's SoftDevice Controller and MPSL as the image with its own host calls them, answered at their C functions.
+//! Emulates Nordic's SoftDevice Controller and MPSL for the image that contains its own host stack.
 //!
-//! The linked image holds both libraries. The functions of their interface are not executed here but answered from outside, by
-//! their symbols. HCI goes to a controller of bumble in another process (`air.rs`); whatever is above HCI is the code that
-//! users flash. `sdc_init`, `sdc_cfg_set` and `sdc_support_*`, which only count what memory is wanted, are Nordic's own, so
-//! that an image that gives too little does not start here, either.
+//! The linked image contains both libraries. The emulator finds their functions by their symbols.
+//! The emulator answers the calls itself and does not execute the libraries' code.
+//! HCI packets go to a controller of bumble in another process (`air.rs`).
+//! Everything above HCI is the code that users flash.
+//! Nordic's own code runs only in `sdc_init`, `sdc_cfg_set` and `sdc_support_*`.
+//! These functions only compute the required memory.
+//! An image that provides too little memory therefore does not start here, either.
 //!
-//! Ours, and no proof of anything: time slots, clocks, `sdc_enable`, `sdc_rand_*`, what bumble's controller lacks (data
-//! length, PHY, RSSI, resolving list, buffers), and the time of the link (`link.rs`).
+//! Some parts are our own models and prove nothing about Nordic's code.
+//! These parts are time slots, clocks, `sdc_enable`, `sdc_rand_*`, and the timing of the link (`link.rs`).
+//! Bumble's controller lacks data length, PHY, RSSI, resolving list and buffers.
+//! We therefore model these as well.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex};
@@ -26,7 +31,7 @@ use air::Ask;
 use link::{Link, SHORT};
 use slots::Slot;
 
-/// Cycles of a call into the libraries; a guess, since nothing of them runs here.
+/// Cycles that a call into the libraries takes. This is a guess, because their code does not run here.
 pub(super) const CALL_CYCLES: u64 = 300;
 
 const CLOCK_POWER: usize = 0;
@@ -34,14 +39,14 @@ const RADIO: usize = 1;
 const TIMER0: usize = 8;
 const RTC0: usize = 11;
 
-/// Errors of the libraries.
+/// Error codes of the libraries.
 const EAGAIN: i32 = -35;
 const EPERM: i32 = -1;
 const ENOMEM: i32 = -12;
 
-/// A kind of configuration (`SDC_CFG_TYPE_BUFFER_CFG`).
+/// A type of configuration (`SDC_CFG_TYPE_BUFFER_CFG`).
 const BUFFERS: u32 = 3;
-/// HCI: packets' kinds, events, and a status.
+/// HCI constants: kinds of packets, kinds of events, and a status.
 const DATA: u8 = 2;
 const EVENT: u8 = 4;
 const COMMAND_COMPLETE: u8 = 0x0E;
@@ -51,35 +56,38 @@ const COMPLETED_PACKETS: u8 = 0x13;
 const LE_META: u8 = 0x3E;
 const UNKNOWN_COMMAND: u8 = 0x01;
 
-/// What happens after a call.
+/// What the emulator does after a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Then {
-    /// It returns this.
+    /// The call returns this value.
     Return { value: u32, to: u32 },
-    /// The library calls back; what the callback returns is the next call at the same address.
+    /// The library calls this function back.
+    /// The callback returns to the address of the library's function.
+    /// This return looks like another call of the function.
     CallBack { function: u32, arguments: [u32; 2] },
     /// Nordic's own code runs.
     Run,
 }
 
-/// A call of a function from outside that waits for a callback to return.
+/// A call from the image that waits until a callback returns.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     address: u32,
     to: u32,
-    /// The callback is the start of a time slot.
+    /// Whether the callback starts a time slot.
     starts_slot: bool,
 }
 
-/// Both libraries and their radio.
+/// Both libraries and the radio that they use.
 pub struct Controller {
     air: Arc<Mutex<Air>>,
     index: u8,
-    /// Names of the answered functions by address.
+    /// Names of the functions that the emulator answers, by address.
     functions: BTreeMap<u32, String>,
     low_priority: Option<usize>,
     told: u32,
-    /// Bytes and numbers of packets: sent by the board, received by it.
+    /// Sizes of the packet buffers in bytes, and their numbers.
+    /// In each pair, the board's sending side comes first.
     buffers: ([u16; 2], [u8; 2]),
     to_host: VecDeque<Vec<u8>>,
     sent: usize,
@@ -90,20 +98,22 @@ pub struct Controller {
     low: VecDeque<(u32, [u32; 2])>,
     waiting: Vec<Waiting>,
     answer: Option<Vec<u8>>,
-    /// Whether the laptop's radio is in reach.
+    /// Whether the laptop's radio is in range.
     pub in_range: bool,
-    /// Bytes of the packets that reached the board over the air, and that left it.
+    /// Number of bytes that reached the board over the air, and number of bytes that left it.
     pub passed: [u64; 2],
-    /// Events of connections, and those of them that the board missed for want of range or for flash.
+    /// Number of connection events, and number of those that the board missed.
+    /// The board misses an event if the laptop is out of range or while it writes to flash.
     pub events: [u64; 2],
-    /// Calls so far, by name.
+    /// Number of calls so far, by name of the function.
     pub calls: BTreeMap<String, u64>,
-    /// What the image did against the libraries' rules.
+    /// The image's violations of the libraries' rules.
     pub broken: Vec<String>,
 }
 
 impl Controller {
-    /// Libraries whose functions lie at these symbols, on this air, as its board of this number (0 or 1).
+    /// Creates the libraries of one board, whose number is 0 or 1.
+    /// The libraries' functions are at these symbols, and `air` is the process that simulates the radio.
     pub fn new(symbols: &BTreeMap<String, u32>, air: Arc<Mutex<Air>>, index: u8) -> Self {
         let answered =
             |name: &str| ["sdc_", "mpsl_", "MPSL_IRQ_"].iter().any(|start| name.starts_with(start));
@@ -136,40 +146,40 @@ impl Controller {
         }
     }
 
-    /// Where the answered functions lie.
+    /// Returns the addresses of the functions that the emulator answers.
     pub(super) fn addresses(&self) -> impl Iterator<Item = u32> {
         self.functions.keys().copied()
     }
 
-    /// The air.
+    /// Returns the process that simulates the radio.
     ///
     /// # Panics
-    /// Never: no other thread has it.
+    /// Never panics in practice, because no other thread uses the lock.
     pub fn air(&self) -> std::sync::MutexGuard<'_, Air> {
         self.air.lock().expect("nobody panicked with it")
     }
 
-    /// Whether there is a connection.
+    /// Returns whether there is a connection.
     pub fn is_connected(&self) -> bool {
         self.link.is_some()
     }
 
-    /// The connection's interval in cycles.
+    /// Returns the connection's interval in cycles.
     pub fn interval(&self) -> Option<u64> {
         self.link.as_ref().map(|link| link.interval)
     }
 
-    /// Octets per radio packet and whether the radio is at 2 Mbit/s.
+    /// Returns the number of bytes per radio packet, and whether the radio transmits at 2 Mbit/s.
     pub fn radio(&self) -> Option<(u16, bool)> {
         self.link.as_ref().map(|link| (link.octets, link.fast))
     }
 
-    /// The board's number on its air.
+    /// Returns the board's number on its air.
     pub fn number(&self) -> u8 {
         self.index
     }
 
-    /// Puts an L2CAP packet on the air to the board, as a laptop that is not bumble could.
+    /// Sends a fragment of an L2CAP packet to the board. Unlike bumble, some laptops could send any fragment.
     pub fn inject(&mut self, fragment: &[u8], starts: bool) {
         let Some(link) = &mut self.link else { return };
         let head = link.handle | if starts { 2 << 12 } else { 1 << 12 };
@@ -180,12 +190,12 @@ impl Controller {
         link.down.push_back(packet);
     }
 
-    /// Packets that still wait for their event.
+    /// Returns the number of packets to the board that wait for a connection event.
     pub fn waiting_down(&self) -> usize {
         self.link.as_ref().map_or(0, |link| link.down.len())
     }
 
-    /// After a reset of the chip: the radio falls silent, the laptop notices later.
+    /// Simulates a reset of the chip. The radio falls silent, and the laptop notices this later.
     pub fn reset(&mut self, now: u64) {
         let mut fresh = Self::new(&BTreeMap::new(), self.air.clone(), self.index);
         std::mem::swap(&mut fresh.functions, &mut self.functions);
@@ -199,7 +209,8 @@ impl Controller {
         self.air().inbox[usize::from(self.index)].clear();
     }
 
-    /// Tells the laptop to do something; the number under which its outcome will stand in [`Air::log`].
+    /// Tells the laptop to perform an action.
+    /// Returns the number under which [`Air::log`] will contain the outcome.
     pub fn order(&mut self, mut order: serde_json::Value, soc: &mut Soc) -> u64 {
         order["board"] = self.index.into();
         let number = self.air().order(soc.now, order);
@@ -207,7 +218,7 @@ impl Controller {
         number
     }
 
-    /// A call of an answered function.
+    /// Executes a call of a function that the emulator answers.
     pub(super) fn call(&mut self, address: u32, lr: u32, args: [u32; 4], soc: &mut Soc) -> Then {
         let name = self.functions[&address].clone();
         let is_return = self.waiting.last().is_some_and(|w| w.address == address);
@@ -229,7 +240,7 @@ impl Controller {
             "MPSL_IRQ_TIMER0_Handler" => {
                 if let (Slot::Pending { length }, Some(session)) = (self.slot, self.session) {
                     self.slot = Slot::Running { until: soc.now + length };
-                    // A clock of 1 MHz that began with the slot.
+                    // The timer runs at 1 MHz and starts together with the slot.
                     for (offset, value) in [(0x504, 0), (0x508, 3), (0x510, 4), (0x00C, 1), (0x000, 1)] {
                         soc.write(0x4000_8000 + offset, value, 4);
                     }
@@ -256,7 +267,7 @@ impl Controller {
         Then::Return { value, to: lr }
     }
 
-    /// The next callback from the low priority; else the end of the call.
+    /// Returns the next callback of the low-priority process. If there is none, the call ends.
     fn next_call_back(&mut self, address: u32, to: u32) -> Then {
         let is_low = self.functions[&address] == "mpsl_low_priority_process";
         match self.low.pop_front().filter(|_| is_low) {
@@ -318,13 +329,13 @@ impl Controller {
         }
     }
 
-    /// HCI packets of the board go to bumble, and what that brings comes in.
+    /// Sends an HCI packet from the board to bumble, and receives the resulting packets.
     fn send(&mut self, packet: &[u8], soc: &mut Soc) {
         self.air().ask(Ask::Packets, self.index, soc.now, packet);
         self.take_in(soc);
     }
 
-    /// Takes in what bumble has for the board.
+    /// Receives the packets that bumble has for the board.
     fn take_in(&mut self, soc: &mut Soc) {
         loop {
             let Some(packet) = self.air().inbox[usize::from(self.index)].pop_front() else { break };
@@ -344,14 +355,16 @@ impl Controller {
                 self.sent = self.sent.saturating_sub(half(6).into());
                 self.to_host.push_back(packet);
             }
-            // The connection stands: interval, latency and timeout lie behind the addresses.
+            // The connection is established.
+            // In this event, interval, latency and time-out follow the addresses.
             [EVENT, LE_META, _, 1, 0, ..] => {
                 self.link = Some(Link::new(half(5), [half(15), half(17), half(19)], now));
                 self.to_host.push_back(packet);
             }
             [EVENT, DISCONNECTED, ..] => {
                 if let Some(link) = self.link.take() {
-                    // What was on its way before is heard before.
+                    // Some packets were already on their way.
+                    // The board hears these packets before it hears of the disconnection.
                     self.to_host.extend(link.down);
                 }
                 self.sent = 0;
@@ -360,7 +373,7 @@ impl Controller {
             [DATA, ..] => {
                 let data = &packet[5..];
                 let Some(link) = &mut self.link else { return };
-                // As the radio packets bring it.
+                // The data arrives in pieces that fit into radio packets.
                 for (i, piece) in data.chunks(link.octets.into()).enumerate() {
                     let head = link.handle | if i == 0 { 2 << 12 } else { 1 << 12 };
                     let mut fragment = vec![DATA];
@@ -377,7 +390,7 @@ impl Controller {
         }
     }
 
-    /// Cycle of the next thing to do.
+    /// Returns the cycle of the next action.
     pub fn due(&self, soc: &Soc) -> Option<u64> {
         let link = self.link.as_ref().map(|link| link.next_event.min(link.lost_at()));
         let air = Some(self.air().due).filter(|&due| due < u64::MAX);
@@ -387,7 +400,7 @@ impl Controller {
         [link, air, clock, self.slot.due(), inbox].into_iter().flatten().min()
     }
 
-    /// Does what is due by now.
+    /// Performs all actions that are due by this time.
     pub fn advance(&mut self, now: u64, soc: &mut Soc) {
         let air_is_due = self.air().due <= now;
         if air_is_due {
@@ -443,7 +456,8 @@ impl Controller {
                 if packet[0] == DATA {
                     self.passed[0] += packet.len() as u64 - 5;
                 }
-                // New parameters count from here on; an offer of the central is such an event, too.
+                // The new parameters apply from now on.
+                // The same event also reports parameters that the central has chosen.
                 if let ([EVENT, LE_META, _, 3, 0, ..], Some(link)) = (&packet[..], &mut self.link) {
                     let half = |at: usize| u16::from_le_bytes([packet[at], packet[at + 1]]);
                     link.set([half(7), half(9), half(11)]);
@@ -457,7 +471,7 @@ impl Controller {
     }
 }
 
-/// Bytes of the image's memory.
+/// Returns bytes of the image's memory.
 fn bytes(soc: &Soc, at: u32, len: usize) -> Vec<u8> {
     if len == 0 {
         return Vec::new();

@@ -1,4 +1,4 @@
-//! Nordic's multiprotocol library: clocks, interrupts and time slots.
+//! Emulates Nordic's multiprotocol service layer (MPSL): clocks, interrupts and time slots.
 
 use super::super::soc::Soc;
 use super::super::time::us;
@@ -41,7 +41,7 @@ impl Controller {
                 0
             }
             "mpsl_is_initialized" => i32::from(self.low_priority.is_some()),
-            // 25.00 degrees in units of a quarter.
+            // The temperature is 25.00 °C, in units of a quarter of a degree.
             "mpsl_temperature_get" => 100,
             "mpsl_timeslot_session_count_set" => 0,
             "mpsl_timeslot_session_open" => {
@@ -72,7 +72,7 @@ impl Controller {
         }
     }
 
-    /// The request that lies there.
+    /// Plans the time slot that is requested at this address.
     fn plan(&mut self, at: u32, soc: &Soc) {
         let ([kind], [priority]) = (load(soc, at), load(soc, at + 5));
         if kind != 0 {
@@ -83,7 +83,7 @@ impl Controller {
         self.slot = Slot::plan(request, self.link.as_ref(), soc.now);
     }
 
-    /// The image's part of a slot has returned this place of its wishes.
+    /// The image's callback for a slot has returned, and requests the action at the address `wishes`.
     pub(super) fn slot_returned(&mut self, wishes: u32, soc: &mut Soc) {
         if let Slot::Running { until } = self.slot
             && soc.now > until

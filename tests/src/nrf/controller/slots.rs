@@ -1,12 +1,13 @@
-//! Time slots between radio events, in which the image writes flash; ours, not Nordic's.
+//! Models the time slots between radio events, in which the image writes flash.
+//! The model is our own and not Nordic's.
 
 use super::super::time::us;
 use super::link::{Link, RAMPS};
 
-/// What the library needs before a slot begins.
+/// Time that the library needs before a slot begins.
 const LEAD: u64 = us(200);
 
-/// A slot that was asked for.
+/// A request for a time slot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Request {
     pub(super) length: u64,
@@ -14,24 +15,25 @@ pub(super) struct Request {
     pub(super) timeout: u64,
 }
 
-/// Where a request stands.
+/// The state of a request for a slot.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) enum Slot {
-    /// Nothing is asked for.
+    /// No slot has been requested.
     #[default]
     None,
-    /// Begins at this cycle.
+    /// The slot begins at this cycle.
     Planned { at: u64, length: u64 },
-    /// Its interrupt is pending.
+    /// The slot's interrupt is pending.
     Pending { length: u64 },
-    /// Will not be granted; said at this cycle.
+    /// The slot will not be granted. The image learns this at this cycle.
     Blocked { at: u64 },
-    /// Has begun, ends at this cycle at the latest.
+    /// The slot has begun and must end by this cycle.
     Running { until: u64 },
 }
 
 impl Slot {
-    /// The earliest slot that meets no event of the connection; one of high priority meets them and wins.
+    /// Plans the earliest slot that overlaps no connection event.
+    /// A slot of high priority may overlap connection events, which are then missed.
     pub(super) fn plan(request: Request, link: Option<&Link>, now: u64) -> Self {
         let mut at = now + LEAD;
         let Some(link) = link.filter(|_| !request.high) else {
@@ -40,7 +42,7 @@ impl Slot {
         let mut event = link.next_event;
         let latest = at + request.timeout;
         while at <= latest {
-            // Before the next event, or behind it.
+            // Place the slot before the next event if it fits there, and otherwise after that event.
             if at + request.length <= event {
                 return Self::Planned { at, length: request.length };
             }
@@ -53,7 +55,7 @@ impl Slot {
         Self::Blocked { at: latest }
     }
 
-    /// Cycle of the next change.
+    /// Returns the cycle of the next change.
     pub(super) fn due(&self) -> Option<u64> {
         match self {
             Self::Planned { at, .. } | Self::Blocked { at } => Some(*at),
@@ -61,7 +63,7 @@ impl Slot {
         }
     }
 
-    /// Whether the slot holds the radio at this cycle.
+    /// Returns whether the slot occupies the radio at this cycle.
     pub(super) fn holds(&self, at: u64) -> bool {
         match *self {
             Self::Planned { at: start, length } => (start..start + length).contains(&at),

@@ -1,6 +1,7 @@
 //! Simulates a laptop's Bluetooth, which finds the board, connects, pairs, subscribes, writes, and records events.
 //!
-//! Tests add [`Command`]s, which the laptop executes in order during connection events, and read [`Happening`]s.
+//! Tests add [`Command`]s, which the laptop executes in order during connection events.
+//! The laptop records [`Happening`]s, which the tests read.
 
 use std::collections::VecDeque;
 
@@ -36,7 +37,7 @@ pub enum Happening {
     /// The link ended for one of the reasons in [`super::abi::reason`].
     Disconnected(u8),
     /// The board requested an interval within this range, in units of 1.25 ms.
-    /// It also requested this latency, and a supervision timeout in units of 10 ms.
+    /// The board also requested this latency, and a supervision timeout in units of 10 ms.
     AskedFor {
         /// Shortest interval.
         min: u16,
@@ -193,7 +194,7 @@ impl Central {
         self.commands.clear();
     }
 
-    /// The board is silent after a restart, which the laptop notices at the given cycle.
+    /// After a restart, the board is silent. The laptop notices this at the given cycle.
     pub(super) fn silence(&mut self, noticed_at: u64) {
         self.lost_at = Some(noticed_at);
         self.left();

@@ -200,7 +200,7 @@ impl SoftDevice {
     }
 
     fn data_length(&mut self, handle: u32, wanted: u32, limits: u32, soc: &mut Soc) -> Answer {
-        // Returns the time of two packets of maximum length with their acknowledgements.
+        // Two packets of maximum length, with their acknowledgements, must fit in the event.
         let room = us(1250 * u64::from(self.config.event_length)) >= us(2 * (2120 + 150));
         let mtu = self.config.mtu;
         let long = self.central.long_packets;

@@ -5,7 +5,7 @@ use super::abi::{Answer, SocEvent, bytes, call, error, event, put, u8_at, u16_at
 use super::link::HANDLE;
 use super::{SoftDevice, central::Happening};
 
-/// Handles up to this one belong to S140's own services (GAP and GATT).
+/// All handles up to this number belong to S140's own services (GAP and GATT).
 const OWN_HANDLES: u16 = 13;
 /// Approximate size of S140's own services in the table, in bytes.
 const OWN_BYTES: u32 = 200;
@@ -257,7 +257,8 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// Enables or disables notifications. It does nothing if the application must first restore its attributes.
+    /// Enables or disables notifications.
+    /// Nothing happens if the application must first restore its attributes.
     pub(super) fn subscribe(&mut self, on: bool, soc: &mut Soc) -> Option<bool> {
         let link = self.link.as_mut().expect("a link");
         if !link.system_attributes {

@@ -30,7 +30,7 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
-    /// Reads and checks the parameters like S140.
+    /// Reads the parameters and checks them in the same way as S140.
     pub(super) fn read(soc: &Soc, at: u32) -> Result<Self, u32> {
         let p = Self {
             min: u16_at(soc, at)?,
@@ -338,7 +338,8 @@ impl SoftDevice {
                 }
                 Command::Pair { bond } => {
                     self.link.as_mut().expect("a link").pairing_asked = Some(bond);
-                    // The laptop has no input and no output, keys of 7 to 16 bytes, and sends encryption and identity keys in both directions.
+                    // The laptop has no input and no output, and its keys have 7 to 16 bytes.
+                    // The laptop distributes encryption and identity keys in both directions.
                     let flags = u8::from(bond) | 3 << 4;
                     let request =
                         SocEvent::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);

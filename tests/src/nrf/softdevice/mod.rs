@@ -1,8 +1,8 @@
 //! Models Nordic's SoftDevice S140 7.x, with the calls that the image uses, and a connected laptop.
 //!
-//! S140 is below the image in flash, owns the vector table at 0 and the radio, and is called by SVC.
-//! Here, the calls run outside the emulated core: they read arguments from the image's memory, return results,
-//! and raise events.
+//! S140 is below the image in flash. It owns the radio and the vector table at 0, and is called by SVC.
+//! Here, the calls run outside the emulated core.
+//! They read arguments from the image's memory, return results, and raise events.
 //! The image fetches these events after interrupt 22 (SWI2).
 //! [`rules`] records actions that S140 forbids, which make the test fail.
 //! The model omits the radio itself (packets either arrive or not), privacy, LE Secure Connections and central roles.
@@ -57,7 +57,7 @@ pub struct SoftDevice {
     events: VecDeque<Vec<u8>>,
     usb: UsbEvents,
     flash: Option<FlashJob>,
-    /// Number of flash operations that will fail, as real ones do while the radio is busy.
+    /// Number of flash operations that will fail, as real operations do while the radio is busy.
     pub flash_refusals: u32,
     uuids: Vec<[u8; 16]>,
     table: Table,

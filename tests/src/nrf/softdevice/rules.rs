@@ -1,4 +1,4 @@
-//! The rules that S140 sets for applications, and its use of RAM and time.
+//! The rules that applications must follow with S140, and the RAM and time that S140 uses.
 
 use std::collections::BTreeMap;
 
@@ -16,8 +16,8 @@ pub const EVENT_PRIORITY: u8 = 6;
 pub const CALL_PRIORITY: u8 = 4;
 /// Priorities that S140 uses itself.
 const OWN_PRIORITIES: [u8; 3] = [0, 1, 4];
-/// S140's peripherals by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1, EGU2 and EGU5,
-/// NVMC with ACL, MWU.
+/// S140's peripherals by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR.
+/// The next pages are EGU1, EGU2 and EGU5, NVMC with ACL, and MWU.
 const OWN_PAGES: [u32; 13] = [0, 1, 8, 11, 12, 13, 14, 15, 21, 22, 25, 30, 32];
 /// Names of the peripherals on these pages.
 const PAGE_NAMES: [&str; 13] = [
@@ -46,9 +46,10 @@ pub const CALL_CYCLES: u64 = us(5);
 pub const FORWARD_CYCLES: u64 = 40;
 
 /// Time that S140 takes from the core in a connection event.
-/// The values are typical ones from the SoftDevice specification ("BLE peripheral connection processor usage
-/// patterns"):
-/// The times are 40 us for preparation, 18 at the start, 30 after a packet, 90 at the end, and 40 per packet at priority 4.
+/// The values are the typical values in the SoftDevice specification.
+/// They are in its section "BLE peripheral connection processor usage patterns".
+/// The times are 40 us for preparation, 18 us at the start, 30 us after a packet and 90 us at the end.
+/// At priority 4, each packet takes another 40 us.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }

@@ -81,8 +81,8 @@ fn s140_refuses_to_start_where_an_interrupt_has_its_priority() {
 #[test]
 #[should_panic(expected = "S140 needs RAM")]
 fn an_image_whose_ram_begins_too_low_is_told_so() {
-    // This code stores the start of the image's RAM (r3 = 0x20001000) at r2 + 64, sets r0 = r2 + 64, and calls
-    // svc 96 (sd_ble_enable).
+    // This code stores the start of the image's RAM (r3 = 0x20001000) at r2 + 64, and sets r0 = r2 + 64.
+    // Then it calls svc 96 (sd_ble_enable).
     let ble_enable = [0x2220, 0x0612, 0x2301, 0x031B, 0x189B, 0x6413, 0x2040, 0x1880, 0xDF60];
     run(&[&ENABLE[..], &ble_enable].concat());
 }

@@ -1,4 +1,4 @@
-//! Executes the acts of a motion in sequence, and ends all of them if one fails.
+//! Executes the acts of a motion in sequence. If one act fails, all acts end.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,11 +13,13 @@ use super::{Director, REST_RAD_S};
 
 /// Maximum distance between the arm and the start of its next trajectory.
 const OFF_MAX_RAD: f64 = 0.03;
-/// Maximum displacement of the base since planning, in m and in rad; a larger one ends the motion.
+/// Maximum displacement of the base since planning, in m and in rad. A larger displacement ends the motion.
 const SHIFTED_MAX: f64 = 0.01;
-/// The commander repeats itself several times within this time. After a silence, nothing continues automatically.
+/// The commander normally repeats itself several times within this time.
+/// After a longer silence, no act starts by itself.
 pub(super) const SILENCE_MS: u64 = 250;
-/// Minimum change of the finger distance that means a lost object: wider means released, narrower means lost.
+/// Minimum change of the finger distance that counts as a loss of the object.
+/// A wider distance means that the object was released; a narrower distance means that it was lost.
 pub(super) const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
@@ -34,7 +36,7 @@ pub(super) struct Running {
     /// Placement of the base at the time of planning.
     placement: Option<Placement>,
     pub(super) halted: bool,
-    /// The tool follows a hand, for as long as that is tilted.
+    /// The tool follows a hand for as long as the hand is tilted.
     pub(super) jogs: bool,
 }
 
@@ -43,7 +45,7 @@ impl Running {
     pub(super) fn jogging(trajectory: Arc<Trajectory>, now_ms: u64) -> Self {
         Running {
             motion: MotionName::from(MotionName::JOG),
-            now: Act::Follow { trajectory, home_s: 0.0, touch: Touch::default() },
+            now: Act::Follow { trajectory, home_s: 0.0, touch: Touch::default(), anchor: None },
             since_ms: now_ms,
             left: VecDeque::new(),
             acts: 1,
@@ -53,7 +55,7 @@ impl Running {
         }
     }
 
-    /// The trajectory under way continues otherwise.
+    /// Replaces the trajectory under way, which then continues differently.
     pub(super) fn replace(&mut self, with: Arc<Trajectory>) {
         if let Act::Follow { trajectory, .. } = &mut self.now {
             *trajectory = with;
@@ -174,8 +176,8 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Nothing has changed since the motion was planned: who commands, the base, the arm.
-    /// `planned` is where the base has to stand, if it matters.
+    /// Checks that the commander, the base and the arm have not changed since the motion was planned.
+    /// `planned` is the required placement of the base, if the placement matters.
     pub(super) fn can_go_on(&self, next: &Act, planned: Option<Placement>) -> Result<(), String> {
         if let Some(refusal) = self.robot.refusal() {
             return Err(refusal);
@@ -190,6 +192,9 @@ impl<R: Robot> Director<R> {
                 return Err(format!("the base is {off_m:.2} m from where the motion was planned"));
             }
         }
+        if let Some(anchor) = next.anchor() {
+            self.is_still_there(anchor, false)?;
+        }
         let Act::Follow { trajectory, .. } = next else { return Ok(()) };
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
         let arm = self.site.arm();
@@ -203,7 +208,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// Returns the reason why nothing goes on by itself, if nobody has commanded for too long.
+    /// Returns a reason to stop the sequence if no command has arrived for too long.
     pub(super) fn silence(&self) -> Option<String> {
         let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
         (silent_ms > SILENCE_MS).then(|| format!("nobody has commanded for {silent_ms} ms"))
@@ -224,7 +229,8 @@ impl<R: Robot> Director<R> {
             let shop = self.site.shop();
             let mut things = self.things.clone();
             things.opening_m = before_m;
-            // Distance moved by the fingers. Without a report, the gripper is at the requested width or has not moved.
+            // Distance moved by the fingers.
+            // Without a report, the gripper is at the requested width or has not moved.
             let reached_m = if end == GripEnd::Reached { Some(asked_m) } else { before_m };
             let now_m = felt_m.or(reached_m);
             let has_moved = match (now_m, before_m) {
@@ -273,14 +279,15 @@ impl<R: Robot> Director<R> {
         self.things.touch = Touch::default();
         let Some(running) = self.running.take() else { return };
         if running.jogs {
-            // It ends with each tilt. One that was stopped does not begin again under a hand that is still tilted.
+            // The motion ends with each tilt.
+            // After a halt, the hand must be neutral before it can start the motion again.
             self.jog.needs_neutral |= !reached && !running.halted;
         } else {
             self.reports.push(Report::MotionEnded { motion: running.motion, reached });
         }
     }
 
-    /// Ends the complete motion, whichever part of it is running.
+    /// Ends the entire motion, whichever part of it is running.
     pub(super) fn halt_motion(&mut self) {
         self.throw_plan_away();
         if let Some(running) = &mut self.running {
@@ -305,7 +312,7 @@ impl<R: Robot> Director<R> {
     }
 }
 
-/// The base is not where it was.
+/// Returns whether the base has moved away from its planned placement.
 pub(super) fn has_shifted(here: Placement, planned: Placement) -> bool {
     (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m) > SHIFTED_MAX
         || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX

@@ -1,4 +1,5 @@
-//! Permits motion of base and arm only while both can still stop: the director's part of [`crate::plan::guard`].
+//! Permits motion of base and arm only while both can still stop.
+//! This module is the director's part of [`crate::plan::guard`].
 
 use host_robot::{Base, BaseState, Motion, Reading, Report, Robot, Trajectory, Twist};
 
@@ -38,7 +39,7 @@ impl<R: Robot> Director<R> {
         })
     }
 
-    /// Permits the next tick of base and arm if both can stop after it; otherwise brakes.
+    /// Permits the next tick of base and arm if both can stop after it. Otherwise, base and arm brake.
     pub(super) fn guard(&mut self) {
         let Some(planner) = self.site.planner().cloned() else { return };
         if self.now_ms < self.guard_due_ms {
@@ -101,7 +102,7 @@ impl<R: Robot> Director<R> {
         self.allowed = twist;
         self.robot.drive(twist);
         if halt_arm {
-            // Whichever part of a motion is running, the rest of it does not follow.
+            // Whichever part of a motion is running, its remaining parts are cancelled.
             self.jog.needs_neutral = true;
             self.halt_motion();
             self.robot.halt_arm();

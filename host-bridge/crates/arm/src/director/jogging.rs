@@ -1,4 +1,4 @@
-//! A hand moves the tool: pieces of a few hundredths of a second, each followed by braking to rest.
+//! A hand moves the tool in pieces of a few hundredths of a second. The arm brakes to rest after each piece.
 //!
 //! ```text
 //! plan    ──────────╲__          what the robot has: it always ends at rest
@@ -6,9 +6,10 @@
 //! piece 2        ▪──╲__
 //! ```
 //!
-//! A piece is taken only if it, and the braking after it, keep every limit and touch nothing. If none is, the plan stands,
-//! and the arm comes to rest. So an arm that was allowed to move can always stop, whatever the hand does next, and silence
-//! needs no decision.
+//! A piece is accepted only if the piece and the braking after it keep every limit and touch nothing.
+//! If no piece is accepted, the plan remains, and the arm comes to rest.
+//! An arm that was allowed to move can therefore always stop, whatever the hand does next.
+//! A silent hand needs no decision.
 
 use std::sync::Arc;
 
@@ -26,30 +27,30 @@ use super::{Director, REST_RAD_S, Site, still_moves};
 /// Length of a piece.
 const PIECE_MS: u64 = 20;
 const PIECE_S: f64 = PIECE_MS as f64 / 1000.0;
-/// This much of what is past stays known: whoever compares the arm with its plan looks back.
+/// This much of the past plan is kept, because the arm is also compared with earlier parts of its plan.
 const KEEP_S: f64 = 1.0;
-/// Shares of the wanted speed that are tried, one after the other.
+/// Fractions of the requested speed, tried one after the other.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
-/// People are told this seldom what keeps the tool from moving; every state shows it.
+/// Minimum interval between messages about an obstacle to the tool; the state always shows the obstacle.
 const NOTES_MS: u64 = 1000;
 
-/// What a hand wants of the tool.
+/// The motion that a hand requests of the tool.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Jog {
     wanted_m_s: DVec3,
-    /// When it was last asked for.
+    /// Time of the last request.
     asked_ms: u64,
-    /// What was refused is not tried again before this time.
+    /// A rejected piece is not tried again before this time.
     due_ms: u64,
-    /// What keeps it from moving is not told again before this time.
+    /// The reason for a standstill is not reported again before this time.
     tell_ms: u64,
-    /// The tool's orientation when it began to move.
+    /// The tool's orientation when the tool began to move.
     hold: DMat3,
-    /// Up to this time of the plan the tool is moved; from there on it brakes.
+    /// The tool is moved up to this time of the plan, and brakes afterwards.
     until_s: f64,
-    /// It was stopped; the hand must be neutral before it moves again.
+    /// The tool was stopped; the hand must be neutral before the tool moves again.
     pub(super) needs_neutral: bool,
-    /// What keeps it from moving.
+    /// The reason why the tool does not move.
     pub(super) held: Option<String>,
 }
 
@@ -62,10 +63,10 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Goes on where the hand wants it, if the hand wants anything.
+    /// Continues in the direction that the hand requests, if the hand requests a direction.
     pub(super) fn jog_on(&mut self) {
         if self.now_ms.saturating_sub(self.jog.asked_ms) > SILENCE_MS {
-            // It has to be asked for anew.
+            // Further motion needs a new request.
             self.jog.wanted_m_s = DVec3::ZERO;
         }
         if self.jog.wanted_m_s == DVec3::ZERO || self.jog.needs_neutral || self.now_ms < self.jog.due_ms {
@@ -82,7 +83,7 @@ impl<R: Robot> Director<R> {
             Ok(false) => {}
             Err(why) => {
                 self.jog.due_ms = self.now_ms + TICK_MS;
-                // At a limit pieces are taken and refused by turns.
+                // At a limit, pieces are accepted and rejected alternately.
                 if self.jog.held.is_none() && self.now_ms >= self.jog.tell_ms {
                     self.jog.tell_ms = self.now_ms + NOTES_MS;
                     self.reports.push(Report::Note(format!("the tool is held: {why}")));
@@ -98,7 +99,7 @@ impl<R: Robot> Director<R> {
         let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
         let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
         if here.velocity_rad_s.iter().any(|speed| speed.abs() > REST_RAD_S) {
-            // It will rest in a moment.
+            // The arm will rest in a moment.
             return Ok(false);
         }
         let from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);
@@ -125,7 +126,7 @@ impl<R: Robot> Director<R> {
         let (plan, until_s) = self.extended(&Arc::clone(plan), from_s, enough_s)?;
         let plan = Arc::new(plan);
         if self.robot.follow_on(Arc::clone(&plan), from_s).is_err() {
-            // It would have come too late; the robot goes on as before, and brakes.
+            // The piece would come too late; the robot continues its plan and brakes.
             return Ok(false);
         }
         self.jog.until_s = until_s;
@@ -135,7 +136,8 @@ impl<R: Robot> Director<R> {
         Ok(true)
     }
 
-    /// The plan with pieces from `from_s` on, at least until `enough_s`, and how far they go. Fewer if there are no more.
+    /// Returns the plan with pieces from `from_s` on, at least until `enough_s`.
+    /// Also returns the time at which the pieces end, which is earlier if no more pieces are allowed.
     fn extended(&self, plan: &Trajectory, from_s: f64, enough_s: f64) -> Result<(Trajectory, f64), String> {
         let (mut plan, mut at_s) = (plan.clone(), from_s);
         while at_s < enough_s {
@@ -149,7 +151,7 @@ impl<R: Robot> Director<R> {
         Ok((plan, at_s))
     }
 
-    /// The plan with one more piece, if one is allowed.
+    /// Returns the plan with one more piece, if a further piece is allowed.
     fn piece(&self, plan: &Trajectory, at_s: f64) -> Result<Trajectory, String> {
         let (arm, limits) = (self.site.arm(), self.joint_limits());
         let from = plan.motion(at_s);
@@ -185,14 +187,15 @@ impl<R: Robot> Director<R> {
             .map_err(|error| error.to_string())
     }
 
-    /// The guard: nothing is touched on the way, nor while braking after it. The base stands still. Without a scene the
-    /// robot itself can still be touched.
+    /// Checks the same conditions as the guard.
+    /// The arm must touch nothing, neither during the piece nor during the braking after it.
+    /// The base stands still. Without a scene, the arm can still touch the robot itself.
     fn keeps_clear(&self, next: &Trajectory, at_s: f64) -> Result<(), String> {
         let base = match &self.site {
             Site::Scene(_) => {
                 self.known_base().map_err(|why| format!("what is around is not known: {why}"))?
             }
-            // Wherever it is, it is the same to the arm.
+            // The base's position does not matter to the arm here.
             Site::Bare(_) => BaseState::default(),
         };
         if still_moves(base.odometry.twist) {

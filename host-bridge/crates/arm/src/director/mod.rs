@@ -1,17 +1,19 @@
 //! The arm director, which connects the bridge with any robot.
 //!
-//! The director resolves names to goals, plans from the reported pose, monitors base and arm, and reports results.
-//! A motion of several steps is planned as a whole, and it ends as a whole if one step fails.
+//! The director resolves names to goals, plans from the reported pose, monitors base and arm,
+//! and reports results.
+//! A motion of several steps is planned as a unit. If one step fails, the entire motion ends.
 //! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!
-//! Without a scene, the arm moves through home in straight lines in joint space, as in the paper.
-//! In a scene, motions are planned around its boxes, and the [guard](crate::plan::guard) rejects motion
-//! that could not stop in time.
+//! Without a scene, the arm moves via its home pose in straight lines in joint space, as in the paper.
+//! In a scene, motions are planned around its boxes.
+//! The [guard](crate::plan::guard) rejects motion that could not stop in time.
 
 mod carry;
 mod guarding;
 mod jogging;
 mod planning;
+mod seen;
 mod sequence;
 
 use std::collections::HashMap;
@@ -40,7 +42,7 @@ const CATCH_UP_MS: u64 = 10_000;
 /// A joint slower than this counts as at rest, because encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 
-/// The base still moves if it is faster than this, in m/s or rad/s.
+/// If the base is faster than this, it still moves. The value is in m/s and in rad/s.
 const BASE_REST: f64 = 0.01;
 
 /// Returns whether the base has not come to rest yet.
@@ -48,12 +50,12 @@ fn still_moves(twist: Twist) -> bool {
     twist.linear_m_s.abs() > BASE_REST || twist.angular_rad_s.abs() > BASE_REST
 }
 
-/// The arm, and what is around it.
+/// The arm with its surroundings.
 #[derive(Clone, Debug)]
 enum Site {
     /// A scene, in which motions are planned.
     Scene(Arc<Planner>),
-    /// The robot with nothing around it, where there is no scene: a hand must not move its arm into itself.
+    /// A robot without a scene, whose arm must still not collide with the robot itself.
     Bare(Arc<World>),
 }
 
@@ -99,10 +101,10 @@ pub struct Director<R> {
     site: Site,
     now_ms: u64,
     running: Option<Running>,
-    /// Where motions are planned, and the one that is.
+    /// The way in which motions are planned, and the motion that is being planned.
     how: How,
     planning: Option<Planning>,
-    /// Tool and objects, as far as known.
+    /// Tool and objects, if they are known.
     things: Things,
     /// Distance between the fingers at the last gripper command, if known.
     grip_before_m: Option<f64>,
@@ -113,6 +115,8 @@ pub struct Director<R> {
     plans: u64,
     wanted: Twist,
     allowed: Twist,
+    /// When the base was last driven or moved.
+    base_moved_ms: Option<u64>,
     guard_due_ms: u64,
     held: Option<String>,
     guard_stops: u32,
@@ -121,20 +125,20 @@ pub struct Director<R> {
 }
 
 impl<R: Robot> Director<R> {
-    /// Creates a director without a scene: the arm moves through home.
+    /// Creates a director without a scene, in which the arm moves via its home pose.
     pub fn new(robot: R, motions: Motions) -> Self {
         let world = World::new(SerialArm::gen3(), Scene::default());
         Director::with(robot, motions, Site::Bare(Arc::new(world)))
     }
 
-    /// Creates a director in a scene, where neither base nor arm touches anything.
+    /// Creates a director for a scene, in which neither base nor arm touches anything.
     pub fn in_scene(robot: R, motions: Motions, planner: Arc<Planner>) -> Self {
         Director::with(robot, motions, Site::Scene(planner))
     }
 
     fn with(robot: R, motions: Motions, site: Site) -> Self {
         let mut things = site.world().start().clone();
-        // The robot has not reported this yet.
+        // The robot has not yet reported the finger distance.
         things.opening_m = None;
         Director {
             robot,
@@ -151,6 +155,7 @@ impl<R: Robot> Director<R> {
             plans: 0,
             wanted: Twist::ZERO,
             allowed: Twist::ZERO,
+            base_moved_ms: None,
             guard_due_ms: 0,
             held: None,
             guard_stops: 0,
@@ -164,7 +169,7 @@ impl<R: Robot> Director<R> {
         &self.robot
     }
 
-    /// Returns the robot, to pass external data to it.
+    /// Returns the robot, so that the caller can pass external data to it.
     pub fn robot_mut(&mut self) -> &mut R {
         &mut self.robot
     }
@@ -202,8 +207,9 @@ impl<R: Robot> Director<R> {
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
         self.robot.hear(now_ms);
-        // In a scene, the guard checks after each tick, however long this program was paused.
-        // After a pause in which every robot has come to rest by itself, the rest of the pause is a single step.
+        // In a scene, the guard checks after each tick, however long this program was suspended.
+        // If a pause is so long that every robot has come to rest by itself,
+        // the time that remains of the pause is a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
             let looks = self.site.planner().is_some() && self.now_ms < looks_until_ms;
@@ -212,6 +218,7 @@ impl<R: Robot> Door for Director<R> {
             let due_ms = if self.guard_due_ms > self.now_ms { self.guard_due_ms } else { u64::MAX };
             self.now_ms = now_ms.min(self.now_ms.saturating_add(tick_ms)).min(due_ms);
             self.robot.step(self.now_ms);
+            self.watch_base();
             self.carry_on();
             self.jog_on();
             self.doubt_plan();

@@ -1,11 +1,14 @@
-//! Planning beside the thread that also stops the robot.
+//! Plans motions on a separate thread, so that the thread that stops the robot never waits.
 //!
-//! While a motion is planned, the arm rests, and stops, silence and everything else go on as ever: they throw the plan away. A
-//! plan that comes late is not begun ([`AGE_MAX_MS`]), nor one that no longer fits: the things, the fingers and the arm must be as
-//! they were, and if the base has moved meanwhile, the way must be clear from where it is now. Without a thread
-//! ([`How::AtOnce`], virtual time) a motion begins in the moment in which it was asked for; a session that is computed again from
-//! its file begins it where the file says that it began ([`How::Held`]). Ages count in the session's own time, so that both
-//! end alike.
+//! While a motion is planned, the arm rests, and stops and the dead-man work as usual.
+//! Each of these events discards the plan.
+//! A plan that comes too late is not begun ([`AGE_MAX_MS`]). A plan that no longer fits is not begun either:
+//! objects, fingers and arm must be unchanged.
+//! If the base has moved in the meantime, the path must be clear from its current position.
+//!
+//! In virtual time there is no thread ([`How::AtOnce`]), and a motion begins at the moment of its request.
+//! A replayed session begins a motion at the time that its file contains ([`How::Held`]).
+//! Ages are measured in the session's own time, so both kinds of session have the same result.
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,11 +26,11 @@ use super::Director;
 use super::carry::{LET_GO_M, has_shifted};
 use super::sequence::{Act, Task};
 
-/// A plan that is not there after this long is not waited for: an arm must not start when nobody expects it any more. Release
-/// builds need about a tenth of it for what a motion may cost at most, on one core.
+/// A plan that takes longer than this is discarded: an arm must not start when nobody expects it any more.
+/// In a release build, the most expensive motion takes about a tenth of this time on one core.
 pub const AGE_MAX_MS: u64 = 2000;
 
-/// A way from another place is looked at in pieces of this length.
+/// A path from another position of the base is checked at intervals of this length.
 const LOOK_S: f64 = 0.05;
 
 /// Where motions are planned.
@@ -38,7 +41,7 @@ pub(super) enum How {
     AtOnce,
     /// On a thread of its own.
     Aside,
-    /// Here and now, but it begins only when that is said.
+    /// The motion is planned here and now, but begins only on request.
     Held,
 }
 
@@ -48,11 +51,11 @@ type Plan = Result<VecDeque<Act>, String>;
 #[derive(Clone, Debug)]
 pub(super) struct Planning {
     pub(super) motion: MotionName,
-    /// When it was asked for.
+    /// Time of the request for the motion.
     since_ms: u64,
     /// Where the base stood.
     placement: Placement,
-    /// What it was planned with.
+    /// Tool and objects at the time of planning.
     things: Things,
     job: Job,
 }
@@ -61,16 +64,17 @@ pub(super) struct Planning {
 enum Job {
     Done(Plan),
     Thread(Arc<Thread>),
-    /// There is no thread for it, and so never a plan.
+    /// No thread could be started, so there will never be a plan.
     Never,
 }
 
-/// Where it is planned. Whoever drops this does not wait for it: the search ends soon, and its plan is thrown away.
+/// The planning job. Dropping it does not wait for the thread:
+/// the search ends soon, and its plan is discarded.
 #[derive(Debug)]
 struct Thread {
-    /// `None` in it = the plan failed.
+    /// A value of `None` means that planning failed.
     handle: Mutex<Option<JoinHandle<Option<Plan>>>>,
-    /// It has a plan, or a reason why there is none.
+    /// Set when there is a plan, or a reason why there is none.
     is_done: Arc<AtomicBool>,
     ends: Arc<AtomicBool>,
 }
@@ -82,7 +86,8 @@ impl Drop for Thread {
 }
 
 impl Job {
-    /// A thread that cannot be started, or that fails, is a plan that never comes: live and from the file.
+    /// A thread that cannot start, or that fails, gives a plan that never arrives.
+    /// Such a plan never arrives in a replayed session either.
     fn aside(task: Task) -> Self {
         let (is_done, ends) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
         let task = task.ended_by(Arc::clone(&ends));
@@ -118,26 +123,27 @@ impl Job {
     }
 }
 
-/// `None` = it failed; the panic was printed where it happened.
+/// Returns `None` if planning failed; the panic was printed where it happened.
 fn planned(task: Task) -> Option<Plan> {
-    // A task is a copy of how things are, and is gone with its failure.
+    // A task owns a copy of the state, which a panic cannot damage for others.
     catch_unwind(AssertUnwindSafe(|| task.plan())).ok()
 }
 
 impl<R: Robot> Director<R> {
-    /// Motions in a scene are planned on threads of their own; whoever runs this asks [`host_robot::Door::plan_is_ready`].
+    /// Plans motions in a scene on separate threads. The owner polls [`host_robot::Door::plan_is_ready`].
     #[must_use]
     pub fn planning_aside(self) -> Self {
         Director { how: How::Aside, ..self }
     }
 
-    /// Motions in a scene begin only where [`host_robot::Door::begin_planned`] is called: for sessions that are computed again.
+    /// Motions in a scene begin only when [`host_robot::Door::begin_planned`] is called,
+    /// as replayed sessions require.
     #[must_use]
     pub fn planning_held(self) -> Self {
         Director { how: How::Held, ..self }
     }
 
-    /// Plans it, and begins it if it is planned already.
+    /// Plans the motion, and begins it if its plan is ready at once.
     pub(super) fn plan(&mut self, motion: &MotionName, task: Task) -> Result<(), String> {
         let (placement, things) = task.taken();
         // Without a scene there is hardly anything to plan.
@@ -159,7 +165,7 @@ impl<R: Robot> Director<R> {
         self.planning.as_ref().is_some_and(|planning| planning.job.is_ready())
     }
 
-    /// Begins what was planned, unless something has changed since.
+    /// Begins the planned motion, unless something has changed since it was planned.
     pub(super) fn begin_what_is_planned(&mut self) {
         let Some(planning) = self.planning.take() else { return };
         let Planning { motion, placement, things, job, .. } = planning;
@@ -178,6 +184,7 @@ impl<R: Robot> Director<R> {
         if let Some(first) = acts.front() {
             self.can_go_on(first, at_work.then_some(planned))?;
         }
+        acts.iter().filter_map(Act::anchor).try_for_each(|anchor| self.is_still_there(anchor, true))?;
         let fingers = [then, &self.things].map(|things| things.opening_m);
         let are_same = match fingers {
             [Some(then_m), Some(now_m)] => (then_m - now_m).abs() <= LET_GO_M,
@@ -195,7 +202,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// The arm's way touches nothing with the base here.
+    /// Returns whether the arm touches nothing on its path with the base at this placement.
     fn is_clear_from(&self, here: Placement, planner: &Planner, acts: &VecDeque<Act>) -> bool {
         let around = planner.world().around_with(here, &self.things);
         let is_clear = |trajectory: &Trajectory| {
@@ -209,7 +216,7 @@ impl<R: Robot> Director<R> {
         })
     }
 
-    /// A plan that comes too late, or after a silence, is not begun.
+    /// Discards a plan that comes too late or after a silence.
     pub(super) fn doubt_plan(&mut self) {
         let Some(planning) = &self.planning else { return };
         let reason = if let Some(silence) = self.silence() {
@@ -228,7 +235,7 @@ impl<R: Robot> Director<R> {
         self.reports.push(Report::MotionRefused { motion, reason });
     }
 
-    /// Whatever is planned is not begun.
+    /// Discards the plan, whatever is being planned.
     pub(super) fn throw_plan_away(&mut self) {
         if let Some(Planning { motion, .. }) = self.planning.take() {
             self.reports.push(Report::MotionEnded { motion, reached: false });

@@ -1,4 +1,5 @@
-//! Converts a motion's steps to a sequence of acts. It plans or refuses all of them before anything moves.
+//! Converts the steps of a motion to a sequence of acts.
+//! All acts are planned or refused before anything moves.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,9 +14,10 @@ use crate::plan::collision::Part;
 use crate::plan::{Case, Placement, Purse, Refusal, line};
 use crate::things::{Things, Touch, in_scene};
 
+use super::seen::Anchor;
 use super::{Director, REST_RAD_S, Site, still_moves};
 
-/// Distance by which a hand retreats from an object before it moves freely.
+/// Distance by which a hand backs away from an object before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
 /// Distance by which a standing object is lifted.
 const LIFT_M: f64 = 0.05;
@@ -28,12 +30,15 @@ pub(super) enum Act {
     /// The arm follows this.
     Follow {
         trajectory: Arc<Trajectory>,
-        /// Time at which the arm rests at home before it continues; 0 if it does not.
+        /// Time at which the arm rests at its home pose before it continues;
+        /// 0 if the path does not lead through home.
         home_s: f64,
         touch: Touch,
+        /// The thing to which the motion is relative.
+        anchor: Option<Anchor>,
     },
     /// The gripper moves.
-    Grip { opening_m: f64, effort_n: Option<f64>, closes_on: bool },
+    Grip { opening_m: f64, effort_n: Option<f64>, closes_on: bool, anchor: Option<Anchor> },
     /// Nothing moves.
     Wait { ms: u64 },
 }
@@ -42,9 +47,17 @@ impl Act {
     /// Returns whether the hand is at an object, so that the base must not move.
     pub(super) fn is_at_work(&self) -> bool {
         match self {
-            Act::Follow { touch, .. } => *touch != Touch::default(),
+            Act::Follow { touch, anchor, .. } => *touch != Touch::default() || anchor.is_some(),
             Act::Grip { .. } => true,
             Act::Wait { .. } => false,
+        }
+    }
+
+    /// Returns the thing that the act is about.
+    pub(super) fn anchor(&self) -> Option<&Anchor> {
+        match self {
+            Act::Follow { anchor, .. } | Act::Grip { anchor, .. } => anchor.as_ref(),
+            Act::Wait { .. } => None,
         }
     }
 }
@@ -58,8 +71,10 @@ struct Draft {
     placement: Placement,
     /// The planning budget shared by all steps of a motion.
     purse: Purse,
-    /// Sets apart plans that are otherwise alike.
+    /// A number that distinguishes plans that are otherwise equal.
     turn: u64,
+    /// The thing to which the current steps are relative.
+    anchor: Option<Anchor>,
 }
 
 impl Draft {
@@ -69,55 +84,63 @@ impl Draft {
 
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
-        // Consecutive legs form one trajectory: the arm rests between them, and nothing is checked again.
-        if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
+        // Consecutive legs form one trajectory. The arm rests between them, and no new check is needed.
+        // Before each leg to a thing, the pose of the thing is checked again.
+        if let Some(Act::Follow { trajectory, touch: same, anchor: None, .. }) = self.acts.back_mut()
             && *same == touch
+            && self.anchor.is_none()
         {
             *trajectory = Arc::new((**trajectory).clone().then(&leg));
             return;
         }
-        self.acts.push_back(Act::Follow { trajectory: Arc::new(leg), home_s, touch });
+        let anchor = self.anchor.clone();
+        self.acts.push_back(Act::Follow { trajectory: Arc::new(leg), home_s, touch, anchor });
     }
 }
 
-/// All that a motion is planned from: a copy of how things are, so that it can be planned elsewhere.
+/// The input of planning: a copy of the current state, so that planning can run on another thread.
 #[derive(Debug)]
 pub(super) struct Task {
     plot: Plot,
     steps: Vec<Step>,
+    /// The frame of each step.
+    anchors: Vec<Option<Anchor>>,
     draft: Draft,
 }
 
-/// What does not change while it is planned.
+/// The data that does not change during planning.
 #[derive(Debug)]
 struct Plot {
     site: Site,
-    /// Of the robot; with a scene the planner has its own.
+    /// The robot's limits; in a scene, the planner has its own limits.
     limits: JointLimits,
-    /// How often the motion has run, for those that draw.
+    /// Number of earlier runs of the motion, for motions with random poses.
     draw: usize,
 }
 
 impl Task {
-    /// Where the base and the things were, as it takes them.
+    /// Returns the placement of the base and the objects on which the plan relies.
     pub(super) fn taken(&self) -> (Placement, Things) {
         (self.draft.placement, self.draft.things.clone())
     }
 
-    /// Who sets this lets it end soon, without a plan.
+    /// Sets a flag with which the owner can end planning early, without a plan.
     pub(super) fn ended_by(mut self, ends: Arc<AtomicBool>) -> Self {
         self.draft.purse = self.draft.purse.ended_by(ends);
         self
     }
 
-    /// The acts, or why there is no safe one.
+    /// Returns the acts, or the reason why no safe sequence exists.
     pub(super) fn plan(self) -> Result<VecDeque<Act>, String> {
-        let Task { plot, steps, mut draft } = self;
-        for (i, step) in steps.iter().enumerate() {
+        let Task { plot, steps, anchors, mut draft } = self;
+        for ((i, step), anchor) in steps.iter().enumerate().zip(anchors) {
             let beside = |other: Option<&Step>| matches!(other, Some(Step::Grip { .. }));
             let is_rest = |step: &&Step| matches!(step, Step::Wait { .. });
             let before = beside(steps[..i].iter().rev().find(|step| !is_rest(step)));
             let after = beside(steps[i + 1..].iter().find(|step| !is_rest(step)));
+            if matches!(step, Step::To(_) | Step::ToNextOf(_) | Step::Tool { .. }) {
+                draft.anchor = anchor;
+            }
             let done = plot.take_step(step, &mut draft, (before, after));
             done.map_err(|why| {
                 let why = draft.purse.refusal().unwrap_or(why);
@@ -129,7 +152,7 @@ impl Task {
 }
 
 impl<R: Robot> Director<R> {
-    /// What is to be planned for a motion, from how things are now.
+    /// Returns the planning task for a motion, based on the current state.
     pub(super) fn task(&mut self, motion: &MotionName) -> Result<Task, String> {
         let steps = self.motions.get(motion.as_str()).map_err(|error| error.to_string())?.steps;
         let grips = steps.iter().any(|step| matches!(step, Step::Grip { .. }));
@@ -137,15 +160,17 @@ impl<R: Robot> Director<R> {
         if grips {
             self.robot.can_grip()?;
         }
-        let draft = self.draft(moves, grips || steps.len() > 1)?;
-        // Each step takes one plan at most.
+        let anchors = self.anchors(&steps)?;
+        let needs_rest = grips || steps.len() > 1 || anchors.iter().any(Option::is_some);
+        let draft = self.draft(moves, needs_rest)?;
+        // Each step needs at most one plan.
         self.plans += steps.len() as u64;
         let plot = Plot {
             site: self.site.clone(),
             limits: *self.robot.joint_limits(),
             draw: self.draws.get(motion).copied().unwrap_or_default(),
         };
-        Ok(Task { plot, steps, draft })
+        Ok(Task { plot, steps, anchors, draft })
     }
 
     /// Where everything is now.
@@ -183,6 +208,7 @@ impl<R: Robot> Director<R> {
             placement,
             purse: Purse::default(),
             turn: self.plans,
+            anchor: None,
         })
     }
 }
@@ -204,7 +230,7 @@ impl Plot {
             Step::To(goal_rad) => *goal_rad,
             Step::ToNextOf(goals_rad) => goals_rad[self.draw % goals_rad.len()],
             Step::Tool { .. } | Step::Move { .. } => {
-                let target = self.target(step, &draft.from_rad);
+                let target = self.target(step, draft)?;
                 if step.is_straight() {
                     return self.go_straight(&target, draft, beside);
                 }
@@ -217,13 +243,19 @@ impl Plot {
     }
 
     /// Returns the flange's goal in the arm's base frame.
-    fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
+    fn target(&self, step: &Step, draft: &Draft) -> Result<Pose, String> {
         let point_m = self.site.shop().tool.point_m();
-        let here = self.site.arm().flange_pose(from_rad);
-        match step {
+        let here = self.site.arm().flange_pose(&draft.from_rad);
+        Ok(match step {
             Step::Tool { pose, .. } => {
+                let frame = draft
+                    .anchor
+                    .as_ref()
+                    .map(|anchor| anchor.on_base(&self.site, &draft.things, draft.placement));
+                let frame = frame.transpose()?.unwrap_or(Pose::IDENTITY);
+                let pose = frame.then(pose.position_m, pose.rotation);
                 let mount_m = self.site.mount_m();
-                Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..*pose }
+                Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..pose }
             }
             Step::Move { way_m, own, turn, .. } => {
                 let way_m = if *own { here.rotation * *way_m } else { *way_m };
@@ -232,7 +264,7 @@ impl Plot {
                 Pose { position_m: here.at(point_m) + way_m - rotation * point_m, rotation }
             }
             _ => here,
-        }
+        })
     }
 
     fn angles_for(&self, target: &Pose, draft: &Draft) -> Result<Joints, String> {
@@ -246,7 +278,7 @@ impl Plot {
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
-    /// To these angles: through home, or along the planned path.
+    /// Moves to these angles: via the home pose, or along the planned path.
     fn go_freely(&self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = self.site.arm();
         let from_rad = draft.from_rad;
@@ -274,7 +306,8 @@ impl Plot {
         Ok(())
     }
 
-    /// Moves the flange straight. Next to a gripper step, it may touch the object and its support.
+    /// Moves the flange in a straight line.
+    /// Next to a gripper step, the hand may touch the object and its support.
     fn go_straight(
         &self,
         target: &Pose,
@@ -308,7 +341,7 @@ impl Plot {
         Ok(())
     }
 
-    /// Retreats from an object, or lifts the held object, before the hand moves freely.
+    /// Backs away from an object, or lifts the held object, before the hand moves freely.
     fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
         let Some(part) = self.is_at_something(draft) else { return Ok(()) };
         let here = self.site.arm().flange_pose(&draft.from_rad);
@@ -333,7 +366,7 @@ impl Plot {
         let part = near_m(&draft.things)?;
         let here = self.site.flange(draft.placement, &draft.from_rad);
         let touch = self.site.shop().touching(&draft.things, &here);
-        // This applies only if the close object is the hand's own.
+        // This exception applies only if the close object is the object that the hand grips.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }
@@ -362,7 +395,7 @@ impl Plot {
         let closes_on = opening_m == 0.0;
         let flange = self.site.flange(draft.placement, &draft.from_rad);
         if let Some(planner) = self.site.planner() {
-            // The fingers need room at both ends of their range.
+            // The fingers need free space at both ends of their range.
             for width_m in [draft.things.opening_m, Some(opening_m)] {
                 let touch = shop.touching(&draft.things, &flange);
                 let things = Things { opening_m: width_m, touch, ..draft.things.clone() };
@@ -379,7 +412,9 @@ impl Plot {
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
         // A robot without a reported finger distance may not report it afterwards either.
         draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
-        draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
+        // What the gripper holds or has left is not looked at again.
+        let anchor = draft.anchor.take();
+        draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on, anchor });
         Ok(())
     }
 }

@@ -1,25 +1,26 @@
 //! Computes distances between the robot's parts, and to the surroundings.
 //!
-//! Checks between two configurations are exact and not sampled.
+//! Checks of the path between two configurations are exact; they are not sampled.
 //! A rotation moves no point of the arm further than the angle times the joint's lever.
-//! One distance therefore clears a whole part of the path ([`Surroundings::way_is_clear`]).
+//! One distance therefore clears a long part of the path ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 
 use crate::model::SerialArm;
+use crate::plan::hulls::{Hulls, NEAR_M, OnFlange, capsules_m};
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
 use crate::solid::Solid;
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
-use host_robot::{DMat3, DVec3, JOINTS, Joints};
+use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 use host_robot::{Odometry, Random};
 
-/// Maximum overlap with a support. The shapes around a held object are 6 mm larger; more than this would press it in.
+/// Maximum overlap with a support, because the shapes around a held object are 6 mm too large.
 const SINKS_M: f64 = 0.010;
 
-/// Links that are next but one to each other, and never nearer than this, are not looked at.
+/// Links that are two joints apart, and never closer than this distance, are not checked.
 const APART_M: f64 = 0.004;
 
 /// Where the base stands in the scene.
@@ -86,7 +87,7 @@ pub struct World {
     scene: Scene,
     lever_m: Joints,
     tool: Tool,
-    /// Pairs of links that can touch. The tool follows the last link, and then its fingers and the held object.
+    /// Pairs of links that can touch. Tool, fingers and held object follow the last link.
     pairs: Vec<(usize, usize)>,
     start: Things,
     notes: Vec<String>,
@@ -97,7 +98,7 @@ impl World {
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
         let tool = scene.tool();
-        // For any object that could be held, so that no bound changes while something is held.
+        // The bound covers any object that could be held, so it does not change while an object is held.
         let held_m = if tool.hand().is_none() {
             0.0
         } else {
@@ -115,11 +116,12 @@ impl World {
             notes: Vec::new(),
         };
         world.start = world.shop().at_start();
-        // Neighbours share a joint and always touch; its limits keep them apart.
+        // Adjacent links share a joint and always touch; the joint's limits keep them from colliding.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
+        let pairs = pairs.filter(|&(one, two)| !world.arm.is_telescope(one, two));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
-            // The tool is on the last link and has the same neighbours; a held object is a part of it.
+            // The tool and a held object have the same neighbours as the last link.
             let last = links - 1;
             let near = |one: usize| {
                 one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))
@@ -133,14 +135,14 @@ impl World {
 
     /// Some links touch in any configuration, because the arm's axes meet in a wrist.
     /// Checking such pairs would refuse every motion.
-    /// As in MoveIt's setup, they are ignored.
+    /// As in MoveIt's setup, such pairs are ignored.
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
         let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
-            // A pair that was clear once can collide. Usually, none is left after a few configurations.
+            // A pair that is clear once can collide. Usually, few configurations clear all such pairs.
             if always.is_empty() {
                 return;
             }
@@ -150,11 +152,7 @@ impl World {
                 let (low, high) = joint.limit_rad.unwrap_or((-pi, pi));
                 *angle = random.between(low, high);
             }
-            let shapes = self.shapes(&joints_rad, &on_flange);
-            always.retain(|&(one, two)| {
-                World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0
-                    && !self.are_apart(&joints_rad, one, two)
-            });
+            always.retain(|&(one, two)| self.touch(&joints_rad, &on_flange, one, two));
         }
         if always.is_empty() {
             return;
@@ -183,14 +181,14 @@ impl World {
         &self.notes
     }
 
-    /// Tool and objects according to the scene.
+    /// Returns the tool and the objects as the scene defines them.
     pub fn start(&self) -> &Things {
         &self.start
     }
 
-    /// Returns whether two links, two joints apart, can touch within the limits of those joints.
-    /// As in MoveIt's setup, pairs that never touch are ignored,
-    /// because their constant proximity would hide everything else.
+    /// Returns whether two links that are two joints apart can touch within the limits of those joints.
+    /// As in MoveIt's setup, pairs that never touch are ignored.
+    /// The constant proximity of such pairs would hide everything else.
     fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
@@ -204,48 +202,17 @@ impl World {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                let shapes = self.shapes(&joints_rad, &on_flange);
-                World::pair_distance_m(&shapes, link, other, f64::INFINITY) <= 0.0
-                    && !self.are_apart(&joints_rad, link, other)
+                self.touch(&joints_rad, &on_flange, link, other)
             })
         })
     }
 
-    /// Two links are apart even though their capsules are not, as their solids prove.
-    fn are_apart(&self, joints_rad: &Joints, one: usize, two: usize) -> bool {
+    /// Returns whether two parts touch: their capsules do, and their hulls do not prove that they are apart.
+    fn touch(&self, joints_rad: &Joints, on_flange: &OnFlange, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
-        let of = |link: usize| -> Vec<Solid> {
-            match link.checked_sub(1) {
-                None => self.arm.foot_solids.clone(),
-                Some(i) => {
-                    let solids = self.arm.joints.get(i).map_or(&[][..], |joint| &joint.solids);
-                    solids.iter().map(|solid| solid.seen_from(&poses[i])).collect()
-                }
-            }
-        };
-        let (one, two) = (of(one), of(two));
-        // Of links without solids nothing is known.
-        !one.is_empty() && !two.is_empty() && one.iter().all(|a| two.iter().all(|b| a.apart_m(b) >= APART_M))
-    }
-
-    /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
-    fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
-        let of = |wanted: usize| {
-            let start = shapes.partition_point(|(link, _)| *link < wanted);
-            &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
-        };
-        let mut nearest_m = within_m;
-        for (_, a) in of(one) {
-            let (a_m, a_reach_m) = a.bounds_m();
-            for (_, b) in of(two) {
-                let (b_m, b_reach_m) = b.bounds_m();
-                // Balls around both are further apart already.
-                if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
-                    nearest_m = nearest_m.min(a.distance_m(b));
-                }
-            }
-        }
-        nearest_m
+        let shapes = self.shapes(&poses, on_flange);
+        capsules_m(&shapes, one, two, f64::INFINITY) <= 0.0
+            && Hulls { arm: &self.arm, on_flange, poses: &poses }.pair_m(one, two, APART_M) < APART_M
     }
 
     /// The arm.
@@ -283,7 +250,7 @@ impl World {
         self.around_with(placement, &self.start)
     }
 
-    /// Like [`Self::around`], with the current tool and objects.
+    /// Like [`Self::around`], but with the current tool and objects.
     pub fn around_with<'w>(&'w self, placement: Placement, things: &'w Things) -> Surroundings<'w> {
         let mount_m = self.scene.base.mount_m;
         let from_world = DMat3::from_rotation_z(-placement.heading_rad);
@@ -291,10 +258,13 @@ impl World {
         let fixed = self.scene.boxes.iter().map(NamedBox::shape).enumerate();
         let fixed = fixed.map(|(i, shape)| (Part::Box(i), shape));
         let standing = self.shop().standing(things).into_iter().map(|(i, shape)| (Part::Object(i), shape));
-        let boxes = fixed.chain(standing).map(|(part, b)| {
-            let center_m = from_world * (b.center_m - here) - mount_m;
-            (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
-        });
+        let boxes: Vec<_> = fixed
+            .chain(standing)
+            .map(|(part, b)| {
+                let center_m = from_world * (b.center_m - here) - mount_m;
+                (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
+            })
+            .collect();
         let mut base = self.scene.base.body();
         base.center_m -= mount_m;
         let floor_m = -mount_m.z;
@@ -302,7 +272,9 @@ impl World {
             world: self,
             touch: &things.touch,
             on_flange: self.on_flange(things),
-            boxes: boxes.collect(),
+            solids: boxes.iter().map(|(_, shape)| Solid::of_box(shape)).collect(),
+            boxes,
+            base_solid: Solid::of_box(&base),
             base,
             floor_m,
             checks: Cell::new(0),
@@ -325,37 +297,40 @@ impl World {
     }
 
     /// Returns the numbered shapes of tool, fingers and held object in the flange's frame.
-    fn on_flange(&self, things: &Things) -> Vec<(usize, Capsule)> {
+    fn on_flange(&self, things: &Things) -> OnFlange {
         if self.tool.is_none() {
-            return Vec::new();
+            return OnFlange::default();
         }
         let link = self.tool_link();
         let fixed = self.tool.fixed().iter().map(|c| (link, *c));
         let fingers = self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, c));
         let held = self.shop().held_shapes(things).into_iter().map(|c| (link + 2, c));
-        fixed.chain(fingers).chain(held).collect()
+        OnFlange::new(fixed.chain(fingers).chain(held).collect(), link, &self.arm)
     }
 
     /// Returns the numbered shapes of base, links, tool and held object in the arm's frame.
-    fn shapes(&self, joints_rad: &Joints, on_flange: &[(usize, Capsule)]) -> Vec<(usize, Capsule)> {
-        let poses = self.arm.link_poses(joints_rad);
+    fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Vec<(usize, Capsule)> {
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
-        for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
+        for (i, (joint, pose)) in self.arm.joints.iter().zip(poses).enumerate() {
             shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));
         }
-        shapes.extend(on_flange.iter().map(|(link, shape)| (*link, shape.seen_from(&poses[JOINTS]))));
+        let flange = &poses[JOINTS];
+        shapes.extend(on_flange.capsules.iter().map(|(link, shape)| (*link, shape.seen_from(flange))));
         shapes
     }
 }
 
-/// The scene from the arm's point of view at one placement. It counts the checks.
+/// The scene from the arm's point of view at one placement. This type also counts the checks.
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
     touch: &'w Touch,
-    on_flange: Vec<(usize, Capsule)>,
+    on_flange: OnFlange,
     boxes: Vec<(Part, UprightBox)>,
+    /// The boxes, for comparison with hulls.
+    solids: Vec<Solid>,
     base: UprightBox,
+    base_solid: Solid,
     floor_m: f64,
     checks: Cell<u64>,
     purse: Option<&'w Purse>,
@@ -389,21 +364,32 @@ impl<'w> Surroundings<'w> {
         if own.distance_m < boxes.distance_m { own } else { boxes }
     }
 
-    /// Returns two separate distances: to the robot itself and the floor, which do not depend on the base's placement,
-    /// and to the boxes.
+    /// Returns two separate distances.
+    /// The first is to the robot itself and the floor, and is independent of the base.
+    /// The second is to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         if let Some(purse) = self.purse {
             purse.spend(1);
         }
         let world = self.world;
-        let shapes = world.shapes(joints_rad, &self.on_flange);
+        let poses = world.arm.link_poses(joints_rad);
+        let shapes = world.shapes(&poses, &self.on_flange);
+        let hulls = Hulls { arm: &world.arm, on_flange: &self.on_flange, poses: &poses };
+        // Of parts whose capsules are near, and nearer than all others so far, the hulls are compared.
+        let exact_m = |distance_m: f64, least_m: f64, hulls_m: &dyn Fn(f64) -> f64| {
+            if distance_m < least_m.min(NEAR_M) { distance_m.max(hulls_m(least_m)) } else { distance_m }
+        };
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
-            // The arm's fixed base and first link are on the base and never come closer to it or to the floor.
+            // The arm's fixed base and first link never come closer to the mobile base or to the floor.
             if link >= 2 {
-                own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
+                let base_m = shape.distance_to_box_m(&self.base);
+                let base_m = exact_m(base_m, own.distance_m, &|least_m| {
+                    hulls.part_from_m(link, &self.base_solid, least_m)
+                });
+                own.tighten(base_m, part, Part::Base);
                 own.tighten(
                     self.allowed_m(shape.lowest_m() - self.floor_m, part, Part::Floor),
                     part,
@@ -411,22 +397,27 @@ impl<'w> Surroundings<'w> {
                 );
             }
             let (middle_m, reach_m) = shape.bounds_m();
-            for (other, obstacle) in &self.boxes {
+            for ((other, obstacle), solid) in self.boxes.iter().zip(&self.solids) {
                 if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
-                    let distance_m = self.allowed_m(shape.distance_to_box_m(obstacle), part, *other);
+                    let distance_m = shape.distance_to_box_m(obstacle);
+                    let distance_m = exact_m(distance_m, boxes.distance_m, &|least_m| {
+                        hulls.part_from_m(link, solid, least_m)
+                    });
+                    let distance_m = self.allowed_m(distance_m, part, *other);
                     boxes.tighten(distance_m, part, *other);
                 }
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = World::pair_distance_m(&shapes, one, two, own.distance_m);
+            let distance_m = capsules_m(&shapes, one, two, own.distance_m);
+            let distance_m = exact_m(distance_m, own.distance_m, &|least_m| hulls.pair_m(one, two, least_m));
             own.tighten(distance_m, world.part(one), world.part(two));
         }
         (own, boxes)
     }
 
     /// Returns the distance, or infinity if the two parts may touch.
-    /// On the straight path to or from an object, fingers may touch the object.
+    /// On the straight path to or from an object, the fingers may touch the object.
     /// A held object may touch its support, but must not sink into it.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = self.touch;
@@ -448,9 +439,9 @@ impl<'w> Surroundings<'w> {
         nearest
     }
 
-    /// Returns whether a straight line in joint space keeps half the margin everywhere,
-    /// and the full margin at checked configurations.
-    /// Without remaining checks, it is not clear.
+    /// Returns whether a straight line in joint space keeps half the margin everywhere.
+    /// The full margin applies at checked configurations.
+    /// If no checks remain, the line does not count as clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);
         !self.is_spent()
@@ -477,7 +468,7 @@ impl<'w> Surroundings<'w> {
         if distance_m < margin_m {
             return false;
         }
-        // After half of this part, no distance can be smaller than this one minus the swept distance.
+        // Within half of this part, no distance can be smaller than this one minus the swept distance.
         if distance_m - reach_m >= 0.5 * margin_m {
             return true;
         }
@@ -543,7 +534,7 @@ mod tests {
     #[test]
     fn boxes_stay_where_they_are_when_the_base_moves() {
         let world = world("[[box]]\nname = \"post\"\ncenter_m = [2.0, 0.5, 0.5]\nsize_m = [0.2, 0.2, 1.0]");
-        // Half of the base is 0.3 m long, so straight ahead the distance is 2.0 - 0.1 - 0.3.
+        // Half of the base's length is 0.3 m, so the distance straight ahead is 2.0 - 0.1 - 0.3.
         let at = |x_m, y_m, heading_rad| {
             world.around(Placement { x_m, y_m, heading_rad }).base_clearance().distance_m
         };

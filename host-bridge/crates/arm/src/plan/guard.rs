@@ -1,4 +1,4 @@
-//! Keeps base and arm in states from which both can still stop before they touch anything.
+//! Keeps base and arm in states from which both can still stop before a contact.
 //!
 //! Plans assume that the base does not move.
 //! The guard handles a moving base, for example one that drives towards a wall.
@@ -15,7 +15,7 @@ use host_robot::{JointLimits, Motion};
 /// Duration of a tick of motion, which is checked in steps of a millisecond.
 pub const TICK_MS: u64 = 10;
 
-/// Twice the minimum distance. It is smaller than the planner's (half of its margin, 5 mm).
+/// Twice the minimum distance. This value is smaller than that of the planner (half of its margin, 5 mm).
 pub const MARGIN_M: f64 = 0.004;
 
 /// Base and arm in simultaneous motion.
@@ -60,7 +60,7 @@ impl Guard<'_> {
     pub fn allows(&self, now: &Moving, instants: &[Moving]) -> bool {
         let Some(next) = instants.last() else { return true };
         let nearest_m = self.nearest_m(&now.odometry, &now.arm, None);
-        // A distance that is already too small may increase, but not decrease.
+        // If the distance is already too small, it may increase but not decrease.
         let margin_m = MARGIN_M.min(0.99 * nearest_m);
         if nearest_m <= 0.0 {
             return false;
@@ -80,7 +80,8 @@ impl Guard<'_> {
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
-        // The robot's own parts are always close to each other; they count only if they hold it, or if nothing else is there.
+        // The robot's own parts are always close to each other.
+        // Such a pair is returned only if it blocks the motion, or if nothing else is there.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M || !boxes.distance_m.is_finite());
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
@@ -116,7 +117,7 @@ impl Guard<'_> {
         self.stretch_is_clear(braking, start_s, middle_s) && self.stretch_is_clear(braking, middle_s, end_s)
     }
 
-    /// Returns the smallest distance, minus the possible displacement of base and arm, if given.
+    /// Returns the smallest distance. If a displacement of base and arm is given, it is subtracted.
     fn nearest_m(&self, odometry: &Odometry, arm: &Motion, moves_m: Option<(f64, f64)>) -> f64 {
         let (base_m, arm_m) = moves_m.unwrap_or((0.0, 0.0));
         let around = self.world.around_with(Placement::from(*odometry), self.things);

@@ -6,10 +6,11 @@ use crate::ik::{self, Budget};
 use crate::model::SerialArm;
 use crate::plan::purse::Purse;
 
-/// Distance between two points of the line. Between them, the error of the line is a fraction of a millimetre.
+/// Distance between two points of the line.
+/// Between them, the error of the line is a fraction of a millimetre.
 const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 0.08;
-/// Maximum rotation of a joint between two points; beyond it, the arm would flip.
+/// Maximum rotation of a joint between two points. Beyond this angle, the arm would flip.
 const JUMP_RAD: f64 = 0.35;
 const STEPS: usize = 80;
 
@@ -24,11 +25,12 @@ pub struct Ends {
     of_mm: f64,
 }
 
-/// Returns the angles on the straight line from the arm's position to a pose of its flange, including both ends.
+/// Returns the angles on the straight line from the arm's position to a pose of its flange,
+/// including both ends.
 /// The solver's steps count against the purse's budget.
 ///
 /// # Errors
-/// The distance that can be reached, or for which checks remain.
+/// Returns the distance that can be reached, or the distance for which checks remain.
 pub fn along(arm: &SerialArm, from_rad: &Joints, target: &Pose, purse: &Purse) -> Result<Vec<Joints>, Ends> {
     let start = arm.flange_pose(from_rad);
     let way_m = start.position_m.distance(target.position_m);

@@ -7,13 +7,14 @@
 //! guard: at run time, keeps base and arm in states from which both can stop before they touch anything
 //! ```
 //!
-//! * [`collision`]: robot and scene, and their distances,
+//! * [`collision`]: robot and scene, and their distances (`hulls`: the exact ones of parts that are near),
 //! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
 //! * [`guard`]: permits only motion from which the robot can still stop.
 
 pub mod collision;
 pub mod guard;
+mod hulls;
 pub mod line;
 pub mod planner;
 pub mod purse;

@@ -1,4 +1,4 @@
-//! Plans from one pose to another: straight if that is clear, otherwise around obstacles, otherwise via home.
+//! Plans motions from one pose to another: straight if that is clear, otherwise around obstacles or via home.
 //! If no path is found, the planner refuses the motion with a reason.
 
 use crate::ik;
@@ -15,13 +15,14 @@ use host_robot::{JointLimits, Joints, Pose, Random, Trajectory};
 /// Maximum number of checks in one search.
 const CHECKS_MAX: u64 = 30_000;
 
-/// Plans that are compared for one motion,
+/// Maximum number of plans that are compared for one motion.
 const TRIES_MAX: u64 = 12;
 
-/// and checks of a motion after which no further one is begun. Counted, never timed: about 60 ms of one core.
+/// After this number of checks, no further plan of a motion is compared.
+/// Checks are counted and not timed; this number takes about 60 ms on one core.
 pub const COMPARING_CHECKS_MAX: u64 = 12_000;
 
-/// Corners are looked at this often for where braking would lead.
+/// Interval at which cut corners are checked for the path of braking.
 const BRAKING_INTERVAL_S: f64 = 0.05;
 
 /// A path with more corners stops at all of them or at none.
@@ -47,7 +48,7 @@ pub struct Plan {
     pub path_rad: Vec<Joints>,
     /// How it was found.
     pub kind: Kind,
-    /// Time at which it passes home, if it goes there first.
+    /// Time at which the motion passes the home pose, if it goes there first.
     pub home_s: Option<f64>,
     /// Number of complete checks of a configuration.
     pub checks: u64,
@@ -132,7 +133,7 @@ pub struct Planner {
 
 impl Planner {
     /// Creates a planner. Route, scaling, margin, seed and poses are from the scene.
-    /// A pose named `home` replaces the arm's own.
+    /// A pose with the name `home` replaces the arm's own home pose.
     ///
     /// # Errors
     /// Fails if a pose is beyond the joints' limits, or a position has no safe joint angles.
@@ -152,7 +153,7 @@ impl Planner {
     fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
-        // Twice the margin, so that the pose can be reached.
+        // This margin is twice the required margin, so that plans can reach the pose.
         let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
@@ -189,7 +190,7 @@ impl Planner {
         &self.limits
     }
 
-    /// Plans from rest to rest with the base at `placement`, and everything else as in the scene.
+    /// Plans from rest to rest, with the base at `placement` and everything else as in the scene.
     /// `turn` distinguishes otherwise equal plans: equal turns give equal plans.
     ///
     /// # Errors
@@ -308,10 +309,11 @@ impl Planner {
         }
     }
 
-    /// The quickest of several plans with other seeds, as many as fit into a motion's first [`COMPARING_CHECKS_MAX`] checks.
+    /// Returns the quickest of several plans with different seeds.
+    /// As many plans are compared as fit into a motion's first [`COMPARING_CHECKS_MAX`] checks.
     ///
     /// # Errors
-    /// As [`Planner::plan_among`], of the first one.
+    /// Returns the error of [`Planner::plan_among`] for the first plan.
     pub fn plan_best(
         &self,
         from_rad: &Joints,
@@ -323,7 +325,7 @@ impl Planner {
         let mut dearest = best.checks;
         for k in 1..TRIES_MAX {
             let left = COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent());
-            // Nothing is quicker than straight.
+            // No plan is quicker than a straight one.
             if best.kind == Kind::Straight || left < dearest {
                 break;
             }
@@ -340,7 +342,7 @@ impl Planner {
         Ok(best)
     }
 
-    /// A path from rest to rest: straight, or around.
+    /// Returns a path from rest to rest, straight or around obstacles.
     fn leg(
         &self,
         around: &Surroundings<'_>,
@@ -358,7 +360,8 @@ impl Planner {
         Some((Plan { trajectory, path_rad, kind, home_s: None, checks: 0 }, kind))
     }
 
-    /// Returns the quickest motion on a clear path whose cut corners are also clear, including all braking there.
+    /// Returns the quickest motion on a clear path whose cut corners are also clear,
+    /// including all braking there.
     fn quickest(&self, around: &Surroundings<'_>, path_rad: &[Joints], margin_m: f64) -> Trajectory {
         let corners = path_rad.len().saturating_sub(2);
         let choices: Vec<Vec<bool>> = if corners <= CHOICE_CORNERS_MAX {

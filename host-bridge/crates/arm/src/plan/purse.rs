@@ -4,18 +4,19 @@ use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Checks that one motion may take, over all its steps. `run` makes them beside the thread that stops the robot; whoever plans
-/// at once, as in virtual time, waits for them: `a_motion_is_planned_or_refused_within_its_checks` in tests/plan_scenes.rs
-/// prints what that is in time.
+/// Maximum number of checks for one motion, over all its steps.
+/// `run` plans beside the thread that stops the robot. In virtual time, the session waits for the plan.
+/// The test `a_motion_is_planned_or_refused_within_its_checks` prints the time that this takes.
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
-/// The remaining checks of a motion: complete checks of a configuration, and (cheaper) steps of inverse kinematics.
+/// The remaining checks of a motion.
+/// They are complete checks of a configuration, and (cheaper) steps of inverse kinematics.
 /// Steps are counted and never timed, so that equal calls give equal results on any machine.
 #[derive(Clone, Debug)]
 pub struct Purse {
     full: u64,
     spent: Cell<u64>,
-    /// Once this is set nothing is left: nobody waits for the answer any more.
+    /// Once this flag is set, the purse is empty, because nobody waits for the answer any more.
     ends: Option<Arc<AtomicBool>>,
 }
 
@@ -31,13 +32,13 @@ impl Purse {
         Purse { full: checks, spent: Cell::new(0), ends: None }
     }
 
-    /// The same, until this is set.
+    /// Returns the same purse, which also becomes empty when this flag is set.
     #[must_use]
     pub fn ended_by(self, ends: Arc<AtomicBool>) -> Self {
         Purse { ends: Some(ends), ..self }
     }
 
-    /// A purse of its own with this many checks, which ends with this one.
+    /// Returns a separate purse with this many checks, which ends together with this one.
     #[must_use]
     pub fn apart(&self, checks: u64) -> Self {
         Purse { ends: self.ends.clone(), ..Purse::of(checks) }
@@ -48,7 +49,9 @@ impl Purse {
         self.spent.set(self.spent.get() + checks);
     }
 
-    /// Returns the number of checks made, which may slightly exceed the budget because of the reason for a refusal.
+    /// Returns the number of checks made.
+    /// This number may slightly exceed the budget,
+    /// because finding the reason for a refusal takes further checks.
     pub fn spent(&self) -> u64 {
         self.spent.get()
     }

@@ -1,5 +1,6 @@
-//! RRT-Connect (Kuffner and LaValle 2000): two trees, one from each end, grow towards random configurations
-//! and towards each other until they meet. Then shortcuts follow.
+//! RRT-Connect (Kuffner and LaValle 2000) grows two trees, one from each end of the path.
+//! The trees grow towards random configurations and towards each other until they meet.
+//! Then shortcuts follow.
 
 use crate::plan::collision::{Surroundings, between};
 use host_robot::Random;

@@ -43,14 +43,15 @@ impl Acceptances {
     }
 
     /// Forgets the arm's pending command if its motion was refused or did not reach its end.
-    /// Otherwise the next motion's start would be attributed to it.
+    /// Otherwise, the start of the next motion would be attributed to that command.
     pub(super) fn see(&mut self, report: &Report) {
         if matches!(report, Report::MotionRefused { .. } | Report::MotionEnded { reached: false, .. }) {
             self.asked_ms[Part::Arm as usize] = None;
         }
     }
 
-    /// Records that the robot acts on a command. Returns the current age of the sample if a command was pending.
+    /// Records that the robot acts on a command.
+    /// Returns the current age of the sample if a command was pending.
     pub(super) fn accept(&mut self, part: Part, now_ms: u64) -> Option<u64> {
         let age_ms = now_ms.saturating_sub(self.asked_ms[part as usize].take()?);
         let seen = match part {
@@ -78,7 +79,7 @@ mod tests {
             all.ask(Part::Arm, 0, 100);
             all.ask(Part::Base, 0, 100);
             all.see(&report);
-            // A hand moves the tool: nobody asked for that by a gesture.
+            // A hand moves the tool, which no gesture has requested.
             assert_eq!(all.accept(Part::Arm, 500), counts, "{report:?}");
             assert_eq!(all.accept(Part::Base, 140), Some(40));
         }

@@ -1,4 +1,6 @@
-//! The bridge's part of jogging: which part of the robot the left hand moves, and the tool's requested motion.
+//! The bridge's part of jogging.
+//! This part determines which part of the robot the left hand moves,
+//! and which motion is requested of the tool.
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 
@@ -8,7 +10,7 @@ use crate::jog::{self, JogRules};
 use crate::safety::{self, Hand, State};
 
 impl Bridge {
-    /// A label or a key lends the left hand to the arm according to these rules.
+    /// Sets the rules by which a label or a key lends the left hand to the arm.
     #[must_use]
     pub fn jogging_by(self, jog: JogRules) -> Self {
         Bridge { jog, ..self }
@@ -19,7 +21,7 @@ impl Bridge {
         self.safety.is_lent()
     }
 
-    /// The clutch's key: lends the left hand, or takes it back.
+    /// Processes the clutch's key, which lends the left hand to the arm or takes it back.
     pub fn clutch_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         if self.jog.is_on() {
             let _ = self.clutch(0, now_ms, robot);
@@ -74,7 +76,8 @@ impl Bridge {
         })
     }
 
-    /// Returns the motion that the hand requests of the tool now; `None` means that it requests none.
+    /// Returns the motion that the hand now requests of the tool;
+    /// `None` means that the hand requests no motion.
     fn tool_m_s(&self, now_ms: u64) -> Option<DVec3> {
         let pointing = self.safety.jogging()?;
         Some(jog::tool_m_s(&self.jog, &self.drive, pointing, &self.lift, now_ms))

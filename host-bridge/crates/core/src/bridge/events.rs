@@ -82,13 +82,13 @@ pub enum EventKind {
         /// Age of the sample.
         age_ms: u64,
     },
-    /// Bends changed the caps.
+    /// Bends of the fingers changed the caps.
     Caps {
         /// Bends of the index finger.
         index: u8,
         /// Bends of the middle finger.
         middle: u8,
-        /// The new cap (m/s and rad/s alike).
+        /// The new cap, whose value applies in m/s and in rad/s.
         cap: f64,
     },
     /// The right hand performed a gesture.

@@ -59,7 +59,7 @@ pub struct Bridge {
     restriction: Option<Restriction>,
     jog: JogRules,
     lift: Lift,
-    /// What the tool was last asked for.
+    /// The last speed that was requested of the tool.
     jogged_m_s: DVec3,
 }
 
@@ -104,7 +104,7 @@ impl Bridge {
         Bridge { drive, ..self }
     }
 
-    /// The robot itself refuses to move from now on, or (`None`) does not any more.
+    /// Sets the robot's reason for refusing to move from now on; `None` ends the refusal.
     pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
         let kind = match &refusal {
             Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
@@ -116,7 +116,8 @@ impl Bridge {
         self.apply(safety::Event::Robot { refuses }, now_ms, robot);
     }
 
-    /// Returns whether this text differs from the last one in more than its numbers, which change continually.
+    /// Returns whether this text is a new message.
+    /// A text is not new if it differs from the last message only in its numbers, which change continually.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
         match (self.refusal(), refusal) {
             (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
@@ -124,7 +125,7 @@ impl Bridge {
         }
     }
 
-    /// Returns the reason why the robot itself refuses to move, if it does.
+    /// Returns the reason why the robot itself refuses to move, or `None` if it does not refuse.
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()
     }
@@ -157,7 +158,7 @@ impl Bridge {
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
         for hand in Hand::BOTH {
-            // Before the first state, the dead-man's 250 ms limit the wait for the first answer.
+            // Until the first state, the dead-man limits the wait for the first answer to a ping to 250 ms.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
             }
@@ -198,7 +199,7 @@ impl Bridge {
         self.link_mut(hand).ping(now_ms)
     }
 
-    /// A hand's newest answer to a request of the session's own (hellos and pongs are none).
+    /// Returns the board's newest answer to one of the session's own requests; hellos and pongs do not count.
     pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
         self.last_acks[hand]
     }
@@ -260,7 +261,8 @@ impl Bridge {
         &self.scores
     }
 
-    /// Returns the left hand's newest pitch and roll in milliradians and its heading, even if it has no effect.
+    /// Returns the left hand's newest pitch and roll in milliradians and its heading.
+    /// These values are returned even if they have no effect.
     pub fn left_hand(&self) -> (i16, i16, Heading) {
         let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
         (pitch_mrad, roll_mrad, heading)
@@ -343,7 +345,7 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            // Others may ask the board for something at the same time: theirs must not hide the session's own.
+            // Answers to other programs' requests must not hide the answers to the session's own requests.
             Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
             Heard::Ack(_) => {}
         }
@@ -367,7 +369,7 @@ impl Bridge {
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
         let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
-        // The clutch is no gesture to the safety machine, which knows gestures only from somebody armed.
+        // The safety machine accepts gestures only while armed, so the clutch is no gesture for it.
         let clutch = acts.filter(|(_, label)| self.is_clutch(label)).map(|(new, _)| new.age_ms);
         let gesture = acts.filter(|_| clutch.is_none()).map(|(new, label)| safety::Gesture {
             label: new.label,

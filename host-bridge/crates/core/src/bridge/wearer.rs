@@ -30,7 +30,7 @@ pub struct Prompt {
 pub(super) struct Seen {
     /// The gesture that was nearly recognised, and the time until which it is shown.
     pub nearly: Option<(Nearly, u64)>,
-    /// Whether the wearer shows gestures that a model will learn, so that none has an effect.
+    /// Whether the wearer shows gestures for training. If so, no gesture has an effect.
     pub is_shown: bool,
     /// The current request to the wearer.
     pub prompt: Option<Prompt>,

@@ -32,7 +32,7 @@ pub enum Event {
     Left {
         /// Upper bound of the sample's age.
         age_ms: u64,
-        /// Whether the link's last round trip is recent and short, so that neutral counts.
+        /// Whether the link's last round trip is recent and short. Only then does neutral count.
         prompt: bool,
         /// Whether the health flags permit use of this state.
         healthy: bool,
@@ -51,7 +51,7 @@ pub enum Event {
     Right {
         /// Upper bound of the newest sample's age.
         age_ms: u64,
-        /// Whether the link's last round trip is recent and short, so that rest counts.
+        /// Whether the link's last round trip is recent and short. Only then does rest count.
         prompt: bool,
         /// Whether the health flags permit use of this state.
         healthy: bool,
@@ -60,12 +60,14 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ceases to refuse motion (because of its e-stop, a fault, or clocks that differ).
+    /// The robot itself begins or ceases to refuse motion.
+    /// The cause may be its e-stop, a fault, or clocks that differ.
     Robot {
         /// It refuses.
         refuses: bool,
     },
-    /// The clutch lends the left hand to the arm, or returns it to the base. Lending requires the armed state.
+    /// The clutch lends the left hand to the arm, or returns it to the base.
+    /// Lending requires the armed state.
     Clutch {
         /// It is lent.
         lends: bool,
@@ -92,9 +94,9 @@ pub enum HaltReason {
     Restart(Hand),
     /// The robot itself refuses to move.
     RobotRefuses,
-    /// The left hand is lent to the arm, or returned to the base.
+    /// The left hand has been lent to the arm, or returned to the base.
     Clutch,
-    /// The left hand moves the arm, and the right hand does not rest.
+    /// The left hand moves the arm, but the right hand does not rest.
     NotAtRest,
 }
 

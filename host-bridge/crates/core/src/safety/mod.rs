@@ -3,16 +3,18 @@
 //! Glossary
 //! * **hand**: one board. It is *connected* from its first hello until the end of the session.
 //!   A silent hand is not forgotten; it prevents motion until it returns.
-//! * **awaited**: a hand that was announced and has not sent a hello.
-//!   Until it does, nothing moves, because the other hand must not drive without the one that can stop it.
-//! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`]. Older samples never move the robot.
+//! * **awaited**: a hand that was announced but has not sent a hello.
+//!   Until its hello arrives, nothing moves.
+//!   The other hand must not drive without the hand that can stop it.
+//! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`].
+//!   Older samples never move the robot.
 //! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
 //! * **neutral**: a left hand within its dead zone, or a right hand whose best label is rest.
 //!   Neutral counts only on a prompt link.
 //! * **release**: the gesture that ends a stop. It is the gesture that moves the arm home: up-down.
 //!
 //! The machine is sans-IO: [`Safety::step`] takes an event and the time, and returns actions.
-//! It passes bends, gestures and the heading on only while armed. Earlier inputs are discarded.
+//! The machine passes on bends, gestures and the heading only while armed. Earlier inputs are discarded.
 
 mod events;
 mod watch;
@@ -30,7 +32,7 @@ use watch::{Neutral, Watch};
 pub const STALE_MS: u64 = 250;
 
 /// All hands must be neutral together for this long before anything may move.
-/// The time counts from the arrival of the first neutral sample to the acquisition of the newest.
+/// The time is measured from the arrival of the first neutral sample to the acquisition of the newest one.
 /// A burst after a stall, or one neutral frame followed by silence, is therefore not enough.
 pub const ARM_NEUTRAL_MS: u64 = 100;
 
@@ -47,7 +49,7 @@ pub use crate::link::ANSWER_PATIENCE_MS;
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
 
-/// The three times above, for users who want stricter ones than the defaults.
+/// The three times above, for users who want stricter times than the defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetyTimes {
@@ -87,11 +89,14 @@ impl Default for SafetyTimes {
 ///                                                             │ both fingers, stop key
 ///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
 /// ```
-/// Only in `Armed` does anything move. Leaving it halts base and arm. `Stale` is reached by time alone.
-/// A stopped robot stays stopped whatever the links do. A robot that refuses by itself (`Refused`, from every state
-/// but `Stopped`) is `Waiting` again when it does not any more, and neutral is needed; no release goes past it.
-/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`; so does a right hand
-/// that does not rest while the left one is lent.
+/// Motion is possible only in `Armed`. Leaving this state halts base and arm.
+/// `Stale` is reached by time alone.
+/// A stopped robot stays stopped, whatever the links do.
+/// A robot that itself refuses to move leads to `Refused` from every state except `Stopped`.
+/// When the robot no longer refuses, the state is `Waiting`, and neutral is required;
+/// no release skips this step.
+/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`.
+/// The same happens if the right hand does not rest while the left hand is lent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
@@ -179,17 +184,17 @@ impl Safety {
         self.state == State::Armed && self.left.connected
     }
 
-    /// The left hand is lent to the arm; whether it moves it depends on the state.
+    /// Returns whether the left hand is lent to the arm. The state determines whether the hand moves the arm.
     pub fn is_lent(&self) -> bool {
         self.lent
     }
 
-    /// Where the left hand points while it may move the arm's tool.
+    /// Returns where the left hand points, or `None` if it may not move the arm's tool.
     pub fn jogging(&self) -> Option<Pointing> {
         (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
 
-    /// Returns the same heading together with its tilt.
+    /// Returns the heading that may drive the base, together with its tilt.
     pub fn pointing(&self) -> Pointing {
         Pointing { heading: self.heading(), tilt: self.tilts.meant() }
     }
@@ -210,7 +215,8 @@ impl Safety {
         watch.connected.then(|| now_ms.saturating_sub(watch.sample_ms))
     }
 
-    /// Processes one event. `now_ms` is the laptop's clock. If it steps back, the machine's time stands still.
+    /// Processes one event. `now_ms` is the laptop's clock.
+    /// If that clock steps back, the machine's time stands still.
     #[must_use = "an action that is not carried out may leave the robot moving"]
     pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
         let mut actions = Vec::new();
@@ -253,7 +259,8 @@ impl Safety {
                 }
                 let bends = index_bends != 0 || middle_bends != 0;
                 if stop {
-                    // This applies even to a late state or a hand in doubt, because halting is always safe.
+                    // The stop applies even for a late state or a hand in doubt,
+                    // because halting is always safe.
                     self.stop(&mut actions);
                 }
                 if age_ms > self.times.stale_ms {
@@ -305,7 +312,7 @@ impl Safety {
                 if refuses {
                     self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
                 } else if self.state == State::Refused {
-                    // Neutral counts only from now on.
+                    // From now on, only new neutral samples are accepted.
                     self.left.reset(self.now_ms);
                     self.right.reset(self.now_ms);
                     self.enter(State::Waiting, &mut actions);
@@ -371,8 +378,8 @@ impl Safety {
         }
     }
 
-    /// Returns whether all connected hands are live and the left hand has been neutral until now,
-    /// for a second at `time_ms`.
+    /// Returns whether all connected hands are live.
+    /// In addition, the left hand must have been neutral for a second at `time_ms`.
     /// Without a left hand, the right hand must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
@@ -405,7 +412,7 @@ impl Safety {
     }
 
     fn stop(&mut self, actions: &mut Vec<Action>) {
-        // Neutral counts only from the stop on.
+        // Only neutral samples after the stop are accepted.
         self.left.reset(self.now_ms);
         self.right.reset(self.now_ms);
         self.right_rested = false;
@@ -464,7 +471,7 @@ impl Safety {
         if connected().next().is_none() {
             return;
         }
-        // Only the time counts during which all hands were neutral together.
+        // Only the time in which all hands were neutral together counts.
         let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
         let together = all.and_then(|all| {
             all.into_iter().reduce(|a, b| Neutral {

@@ -38,7 +38,7 @@ impl Watch {
         self.reset(now_ms);
     }
 
-    /// Resets neutral, which counts only for later samples.
+    /// Resets neutral. Only later samples then count as neutral.
     pub(super) fn reset(&mut self, now_ms: u64) {
         self.reset_ms = now_ms;
         self.neutral = None;

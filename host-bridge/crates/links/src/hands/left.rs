@@ -14,7 +14,7 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualLeft};
 use models::adc::AdcRecording;
 
-/// A sample that is late by at most this time belongs to its period; a later one belongs to no period.
+/// A sample that is late by at most this time belongs to its period. A later sample belongs to no period.
 const JITTER_MS: u64 = PERIOD_MS / 2;
 /// Time between the starts of two calibration steps: 64 samples, and the time for the EEPROM to store them.
 const STEP_MS: u64 = 900;
@@ -29,7 +29,7 @@ pub struct LeftBoard {
     period_ms: u64,
     /// The remaining calibration steps with their times; the next step is last.
     steps: Vec<(u64, CalibrationStep)>,
-    /// Samples with a lower index were taken before the last step.
+    /// Samples with a lower index were taken before the last call of `step`.
     before: usize,
 }
 
@@ -53,7 +53,7 @@ impl LeftBoard {
         }
     }
 
-    /// Calibrates neutral and rest from the first 1.6 s, as if the wearer had requested this.
+    /// Calibrates neutral and rest from the first 1.6 s, as if the wearer had requested a calibration.
     /// The hand must be level and still with straight fingers; otherwise, the calibration does not change.
     #[must_use]
     pub fn calibrated_at_start(mut self) -> Self {
@@ -185,7 +185,7 @@ mod tests {
     fn samples_that_come_a_little_early_or_late_are_all_taken() {
         let jitter = |n: u64| [0, 3, 5, 1][n as usize % 4];
         let states = play(LeftBoard::new(still((0..200).map(|n| 10 * n + jitter(n))), None, 1));
-        // There is one state per two samples, and an immediate one for the first neutral sample.
+        // The board sends one state for every two samples, and one more at once for the first neutral sample.
         assert!((100..=101).contains(&states.len()), "{}", states.len());
         assert!(states.iter().all(|s| s.health == health::DEFAULT_CALIBRATION));
     }
@@ -234,7 +234,7 @@ mod tests {
         );
         let short = refused_at_start(&still((0..100).map(|n| 10 * n)));
         assert!(short.len() == 1 && short[0].contains("the recording is too short"), "{short:?}");
-        // The board confirms this: with its own calibration, its states have no warning.
+        // The board confirms this: with its own calibration, its states contain no warning.
         let flags = |recording: AdcRecording| {
             play(LeftBoard::new(recording, None, 1).calibrated_at_start()).last().unwrap().health
         };

@@ -18,7 +18,7 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualRight, no_store};
 use host_core::observe::Sample;
 
-/// The value of one count in record mode in m/s², deg/s and µT, as for the right board's sensor.
+/// The values of one count in m/s², deg/s and µT, which equal those of the right board in record mode.
 const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-aligned.tflite");
@@ -93,7 +93,8 @@ impl ModelFile {
         Ok(ModelFile { blob, card })
     }
 
-    /// Returns the bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
+    /// Returns the bundled model: 9 axes, with the paper's labels and `other`.
+    /// The model was trained on simulated wearers only.
     ///
     /// # Errors
     /// Returns [`ModelFileError`] if the compiled-in files do not match.
@@ -147,9 +148,9 @@ impl ModelFile {
 }
 
 /// Reads recordings, converts each to 100 Hz, and joins them without pauses into one recording of `axes` axes.
-/// The notes are those of all recordings, and the start time is that of the first one.
+/// The notes are those of all recordings. The start time is that of the first recording.
 ///
-/// If a recording has more than `axes` axes, the first ones are used, as in `models eval`.
+/// If a recording has more than `axes` axes, only the first ones are used, as in `models eval`.
 /// At least `needed` axes must exist, and missing ones are 0.
 ///
 /// # Errors
@@ -267,7 +268,7 @@ pub struct RightBoard<'m> {
     silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,
-    /// Samples with a lower index were taken before the last step.
+    /// Samples with a lower index were taken before the last call of `step`.
     before: usize,
 }
 
@@ -304,7 +305,7 @@ impl<'m> RightBoard<'m> {
 }
 
 impl RightBoard<'_> {
-    /// Removes these samples, as if the sensor delivered no data, so that they cause no state.
+    /// Removes these samples, as if the sensor had delivered no data. They therefore cause no state.
     #[must_use]
     pub fn silent_in(self, silences: Vec<Range<usize>>) -> Self {
         RightBoard { silences, ..self }

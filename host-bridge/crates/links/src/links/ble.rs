@@ -1,13 +1,15 @@
-//! Connects to a hand over Bluetooth Low Energy: finds it by its service and reconnects automatically.
-//! Left and right hands have different services, so neither is ever connected in place of the other.
+//! Connects to a hand over Bluetooth Low Energy.
+//! The link finds the board by its service, and reconnects.
+//! Left and right hands have different services, so the link never connects to the other hand.
 //!
 //! btleplug handles the system's Bluetooth (on Linux, BlueZ over D-Bus).
 //! The frames form two byte streams: notifications from the board, and writes to the board.
-//! Writes are confirmed, and a board that requires a bonded link refuses the first one.
+//! Writes are confirmed. A board that requires a bonded link refuses the first write.
 //!
 //! Only boards that are bonded with this machine are connected. The system encrypts the link before the first byte.
 //! A device that merely advertises therefore cannot impersonate a board.
-//! With `allow_unbonded`, any device in range could impersonate one; `Config::restriction` then limits the session.
+//! With `allow_unbonded`, any device in range could impersonate a board;
+//! `Config::restriction` then limits the session.
 
 mod advice;
 mod bonds;
@@ -42,7 +44,7 @@ pub const FROM_BOARD: Uuid = Uuid::from_u128(0xb1a4_0002_6d61_4e75_a1b2_5c3d_9e7
 /// Frames to the board (write).
 pub const TO_BOARD: Uuid = Uuid::from_u128(0xb1a4_0003_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 
-/// First delay before a new search for a board; it doubles each time, up to the maximum.
+/// First delay before a new search for a board. The delay doubles each time, up to the maximum.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LAST_PAUSE: Duration = Duration::from_millis(500);
 /// How long one search for the board lasts.
@@ -148,7 +150,7 @@ fn services(hand: Option<Hand>) -> Vec<Uuid> {
 /// Searches for boards that advertise now, for the given time. Returns them as `ble:NAME`.
 ///
 /// # Errors
-/// The reason why Bluetooth is not available, with a remedy.
+/// Returns the reason why Bluetooth is not available, with a remedy.
 pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     runtime()?.block_on(async {
         let (_session, adapter) = adapter().await?;
@@ -232,7 +234,7 @@ impl<I: Copy> Radio<I> {
     }
 
     fn tell(&self, news: News) {
-        // If nobody receives events any more, the program is about to end.
+        // If no thread receives events any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
@@ -241,7 +243,7 @@ impl<I: Copy> Radio<I> {
         let over = async {
             let why = self.over().await;
             if was_open.get() {
-                // Waits so that the connection can detect its end and disconnect first.
+                // This wait gives the connection time to detect its end and to disconnect first.
                 tokio::time::sleep(FAREWELL * 2).await;
             }
             why

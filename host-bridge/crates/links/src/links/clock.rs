@@ -81,14 +81,15 @@ fn since_boot_ms() -> u64 {
     time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
 }
 
-/// Counts from the first call. `std` uses Windows' performance counter, which includes sleep.
+/// Returns the time since the first call. `std` uses Windows' performance counter, which includes sleep.
 #[cfg(not(unix))]
 fn since_boot_ms() -> u64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     u64::try_from(START.get_or_init(std::time::Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Lets one thread wait for time to pass. While it exists and does not wait, its thread counts as busy.
+/// Lets one thread wait for time to pass.
+/// While the waiter exists and does not wait, its thread counts as busy.
 #[derive(Debug)]
 pub struct Waiter {
     #[cfg(feature = "test-clock")]
@@ -205,7 +206,7 @@ mod tests {
     fn the_clock_counts_the_time_that_the_machine_slept() {
         use rustix::time::{ClockId, clock_gettime};
 
-        // Both clocks start at boot, but only one of them continues during sleep.
+        // Both clocks start at boot, but only one of the two continues during sleep.
         // On a machine that has never slept, both are equal, so the test also checks the name of the clock.
         let awake = clock_gettime(ClockId::Monotonic);
         let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;

@@ -1,4 +1,5 @@
-//! Real links: serial ports and (feature `ble`) Bluetooth, each with its own thread and all with a common clock.
+//! Real links: serial ports and (feature `ble`) Bluetooth.
+//! Each link has its own thread, and all share one clock.
 //!
 //! A link opens its port, passes on every byte with its time of arrival, and reopens the port after a failure.
 //! The program never sends to a board that was just reset.

@@ -1,6 +1,6 @@
 //! A bounded queue for the events of links, in which the newest data has priority.
 //!
-//! A board that sends too much must not fill the memory or delay new bytes behind old ones.
+//! A board that sends too much must not fill the memory, and must not delay new bytes behind old bytes.
 //! The queue therefore has a maximum size and drops the oldest bytes.
 //! This loss is harmless because every state is complete. Events about opened and closed ports are never dropped.
 

@@ -12,7 +12,7 @@ use shared_words::Hand;
 
 use super::{Clock, EventSender, LinkEvent, News, Waiter, Waker};
 
-/// First delay before a port is reopened; it doubles each time, up to [`LAST_PAUSE`].
+/// First delay before a port is reopened. The delay doubles each time, up to [`LAST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LAST_PAUSE: Duration = Duration::from_secs(2);
 
@@ -21,7 +21,7 @@ const WRITE_PATIENCE: Duration = Duration::from_millis(20);
 /// Interval at which the reading thread checks whether it should end. Received bytes wake it immediately.
 const READ_PATIENCE: Duration = Duration::from_millis(50);
 
-/// A Nano in reset is silent from this time after the opening until its program runs.
+/// After the port is opened, a Nano in reset is silent from this time on until its program runs.
 /// Data that arrives later therefore does not come from a bootloader, and the program may send.
 const BOOTLOADER_SILENT_MS: u64 = 300;
 
@@ -99,7 +99,8 @@ impl SerialLink {
         &self.port
     }
 
-    /// Returns whether bytes can be sent now, which is not the case while the port is closed or soon after a reset.
+    /// Returns whether bytes can be sent now.
+    /// This is not possible while the port is closed, or soon after a reset.
     pub fn is_ready(&self) -> bool {
         let line = lock(&self.line);
         let waited_ms = self.clock.now_ms().saturating_sub(line.opened_ms);
@@ -187,7 +188,7 @@ impl<I: Copy> Reader<I> {
     }
 
     fn tell(&self, news: News) {
-        // If nobody receives events any more, the program is about to end.
+        // If no thread receives events any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 

@@ -33,7 +33,7 @@ struct State {
 #[derive(Debug)]
 struct Sitter {
     number: u64,
-    /// The thread waits for this time, and counts as busy after it.
+    /// The thread waits for this time, and counts as busy after this time.
     until_ms: u64,
     /// The thread no longer waits.
     rung: bool,

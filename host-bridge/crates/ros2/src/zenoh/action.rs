@@ -23,7 +23,7 @@ use crate::zenoh_keys::{Attached, Entity, Named, Node, Quality};
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Maximum duration of a goal.
 const RESULT_PATIENCE: Duration = Duration::from_secs(600);
-/// A goal that has not been sent after this time is dropped, because by then the bridge requests its end.
+/// A goal that waits longer than this is dropped unsent, because by then the bridge requests its end.
 const GOAL_WAITS: Duration = Duration::from_millis(500);
 
 /// A goal of ours, which may already be over.
@@ -140,7 +140,7 @@ impl Client {
         self.request(|client| &client.cancel_goal, &(id, ros::Time::default()), about)
     }
 
-    /// Requests once the end of a goal that does not exist.
+    /// Requests (once) the end of a goal that does not exist.
     pub fn ask(&mut self) {
         if self.probe == Probe::NotSent
             && self.request_end(UUID::new_random(), Asked::Probe(self.which)) != Sent::No
@@ -154,7 +154,7 @@ impl Client {
         self.probe
     }
 
-    /// Returns the number of active goals on the server that are not ours.
+    /// Returns the number of active goals on the server that other programs sent.
     pub fn foreign(&self) -> usize {
         self.foreign
     }
@@ -175,7 +175,7 @@ impl Client {
                             self.request(|client| &client.get_result, &id, Asked::Result(self.which, id));
                             said.push((ours, Said::Accepted));
                         }
-                        // The goal is kept, because after a forged answer, another server may still accept it.
+                        // The goal is kept. After a forged answer, another server may still accept it.
                         Some((false, _)) => said.push((ours, Said::Rejected)),
                         None => {}
                     }

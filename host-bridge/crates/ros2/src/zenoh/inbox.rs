@@ -40,6 +40,8 @@ pub enum Read {
     Base,
     /// The arm's controller.
     Controller,
+    /// The thing with this number among the configured ones.
+    Thing(usize),
     /// The status of all goals on an action's server.
     Status(Which),
     /// The progress of a server's goals.
@@ -73,6 +75,8 @@ pub enum Word {
     Base(Box<ros::Odometry>),
     /// The arm's controller.
     Controller(Box<ToldState>),
+    /// A thing.
+    Thing(usize, Box<ros::PoseStamped>),
 }
 
 /// An answer of an action's server.
@@ -90,7 +94,7 @@ struct Kept {
     /// The message, with its writer.
     words: VecDeque<(Word, [u8; 16])>,
     servers: [FromServer; 2],
-    /// A stored message for late subscribers is ignored if it is older than a message that already arrived.
+    /// Times of the newest messages. A stored message for late subscribers is ignored if it is older.
     newest: BTreeMap<(Read, [u8; 16]), i64>,
 }
 
@@ -98,7 +102,7 @@ struct Kept {
 #[derive(Clone, Default)]
 pub struct Inbox {
     kept: Arc<Mutex<Kept>>,
-    /// Whether the newest message's attachment contains the names of its values, as in Jazzy.
+    /// Whether the attachment of the newest message names its values, as in Jazzy.
     pub is_labelled: Arc<AtomicBool>,
 }
 
@@ -139,6 +143,7 @@ impl Inbox {
             Read::Flag(input) => decode::<ros::Bool>(bytes).map(|flag| Word::Flag(input, flag.data)),
             Read::Arm => decode(bytes).map(Word::Arm),
             Read::Base => decode(bytes).map(|odometry| Word::Base(Box::new(odometry))),
+            Read::Thing(n) => decode(bytes).map(|pose| Word::Thing(n, Box::new(pose))),
             Read::Controller => decode(bytes).map(|told| Word::Controller(Box::new(told))),
             Read::Status(which) => {
                 if let Some(list) = decode(bytes) {
@@ -178,7 +183,7 @@ impl Inbox {
         std::mem::take(&mut self.lock().servers[which as usize].answers)
     }
 
-    /// Returns the progress of its goals since the last call.
+    /// Returns the progress of the action's goals since the last call.
     pub fn take_progress(&self, which: Which) -> VecDeque<Vec<u8>> {
         std::mem::take(&mut self.lock().servers[which as usize].progress)
     }
@@ -212,7 +217,7 @@ mod tests {
             inbox.take_in(Read::Flag(0), &said(number, writer), &encode(&ros::Bool { data }));
         };
         flag(5, 1, true);
-        // Stored messages that were requested at the start of the subscription may arrive after newer ones.
+        // Stored messages are requested when a subscription starts. They may arrive after newer messages.
         flag(4, 1, false);
         flag(5, 1, false);
         flag(1, 2, false);

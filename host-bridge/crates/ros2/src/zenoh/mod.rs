@@ -89,7 +89,8 @@ struct ZenohNode {
     /// The action client, if goals are used.
     arm: Option<Client>,
     gripper: Option<Gripper>,
-    /// Topics whose writers store their last message, and the writers that were already asked for it.
+    /// Topics whose writers store their last message.
+    /// The next field lists the writers that were already asked for their message.
     latched: Vec<(Read, Named)>,
     asked: BTreeSet<String>,
 }
@@ -182,6 +183,7 @@ impl Transport for ZenohNode {
                 }
                 Word::Arm(state) => came(Came::Arm(state, hex(&writer))),
                 Word::Base(odometry) => came(Came::Base(odometry)),
+                Word::Thing(n, pose) => came(Came::Thing(n, pose)),
                 Word::Controller(told) => came(Came::Controller(told)),
             }
         }

@@ -24,7 +24,8 @@ const GOALS_MAX: usize = 64;
 /// A link without any data for this long is closed, in ms. Messages that the closed link had accepted are lost.
 /// TCP delivers data even after many lost packets. The value is rmw_zenoh's; see docs/zenoh.
 const LEASE_MS: &str = "60000";
-/// A link that accepts no data for this long (in µs) is also closed. No stop waits for it: base and arm have timeouts.
+/// A link that accepts no data for this long (in µs) is also closed.
+/// No stop depends on this time, because base and arm have their own timeouts.
 const PATIENCE_US: &str = "60000000";
 
 /// Zenoh's own configuration.
@@ -113,6 +114,9 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
             read.push((Read::Arm, topic(&config.joint_states, "sensor_msgs/msg/JointState")));
         }
     }
+    for (n, name) in config.watched.topics.iter().enumerate() {
+        read.push((Read::Thing(n), Named::new(name, "geometry_msgs/msg/PoseStamped")));
+    }
     let flags = Inputs::new(config);
     let flags = flags.topics().enumerate();
     let mut latched: Vec<(Read, Named)> =
@@ -151,16 +155,17 @@ pub fn open(config: &Ros2Config, connection: &Connection, publish_sim: bool) -> 
         let named = Named::new(&name, "trajectory_msgs/msg/JointTrajectory");
         write(Place::Trajectory, named, Quality { depth: 1, ..plain });
     }
+    let has_description = publish_sim && !config.robot_description.is_empty();
     if publish_sim {
         write(Place::JointStates, topic(&config.joint_states, "sensor_msgs/msg/JointState"), plain);
         write(Place::Odometry, topic(&config.odom, "nav_msgs/msg/Odometry"), plain);
         write(Place::Frames, topic(&config.tf, "tf2_msgs/msg/TFMessage"), plain);
-        if !config.robot_description.is_empty() {
+        if has_description {
             write(Place::Description, topic(&config.robot_description, "std_msgs/msg/String"), plain);
         }
     }
 
-    let voice = ZenohVoice { outbox: outbox.clone(), has_simulator: publish_sim, states: 0 };
+    let voice = ZenohVoice { outbox: outbox.clone(), has_simulator: publish_sim, has_description, states: 0 };
     let joined = ZenohNode {
         session,
         node,

@@ -1,5 +1,6 @@
 //! The outbox: each lane has a thread that passes messages to Zenoh. The control thread never waits for the network.
-//! Only the lanes' threads wait (congestion control "block"). Meanwhile, a newer speed replaces the one that waits.
+//! Only the lanes' threads wait (congestion control "block").
+//! Meanwhile, a newer speed replaces a speed that is waiting.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
@@ -57,7 +58,7 @@ impl Shared {
     }
 }
 
-/// The sending side. When its last copy is dropped, the threads end, and so does the session.
+/// The sending side. When its last copy is dropped, the threads and the session end.
 #[derive(Clone)]
 pub struct Outbox {
     end: Arc<End>,
@@ -146,7 +147,7 @@ impl Outbox {
         self.end.ids.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Carries this order out in its turn.
+    /// Executes this order when its turn comes.
     pub fn order(&self, order: Order) {
         let lane = self.lane(order.lane());
         lane.lock().order(order);
@@ -287,7 +288,8 @@ impl Courier {
             .declare_publisher(named.key(self.node.domain))
             .congestion_control(congestion)
             .priority(priority)
-            // Only one message is passed on at a time, because a message in Zenoh can no longer be replaced.
+            // Only one message is passed on at a time,
+            // because a message inside Zenoh can no longer be replaced.
             .express(true)
             .wait()?;
         let writer = writer_of(&token);

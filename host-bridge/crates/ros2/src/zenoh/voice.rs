@@ -16,6 +16,9 @@ pub struct ZenohVoice {
     pub outbox: Outbox,
     /// Whether the simulator's state is published.
     pub has_simulator: bool,
+    /// Whether the robot's description is published with the simulator's state; the configuration may have no topic
+    /// for it.
+    pub has_description: bool,
     /// States told.
     pub states: u32,
 }
@@ -41,7 +44,7 @@ impl Voice for ZenohVoice {
     }
 
     fn describe(&mut self, urdf: &str) {
-        if self.states.is_multiple_of(DESCRIBED_EVERY) {
+        if self.has_description && self.states.is_multiple_of(DESCRIBED_EVERY) {
             self.outbox.put(Place::Description, encode(&ros::Text { data: urdf.to_owned() }));
         }
     }

@@ -1,5 +1,5 @@
 //! Messages that wait to be sent, lane by lane. Sans-IO.
-//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait. Cancellations (one per goal) always wait.
+//! Each kind keeps its newest message. At most [`ASKS_MAX`] requests wait, plus one cancellation per goal.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -97,7 +97,7 @@ pub enum Order {
     Read(Read, Named, Quality),
     /// A token of an action's client.
     Say(Which, String),
-    /// The action's server has changed: subscriptions and tokens for the old one end.
+    /// The action's server has changed. Subscriptions and tokens for the old server end.
     Forget(Which),
 }
 
@@ -106,7 +106,7 @@ impl Order {
     pub fn lane(&self) -> Lane {
         match self {
             Order::Write(place, ..) | Order::Unwrite(place) => place.lane(),
-            // This order comes before the first goal to that server.
+            // These orders are executed before the first goal to that server.
             Order::Read(..) | Order::Say(..) | Order::Forget(..) => Lane::Requests,
         }
     }
@@ -135,7 +135,7 @@ pub struct Waiting {
 }
 
 impl Waiting {
-    /// Adds an order, which waits for its turn.
+    /// Adds an order to the end of the queue.
     pub fn order(&mut self, order: Order) {
         if let Order::Unwrite(place) = order {
             self.newest.remove(&place);

@@ -33,7 +33,7 @@ use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 /// The default port of Foxglove's viewers.
 pub const DEFAULT_PORT: u16 = 8765;
 
-/// The origins of Foxglove in a browser, and of its desktop application (which loads its pages from files).
+/// The origins of Foxglove in a browser and of its desktop application, which loads its pages from files.
 pub const ORIGINS: [&str; 2] = ["https://app.foxglove.dev", "file://"];
 
 /// Maximum number of messages that wait for a viewer: about five seconds of all topics.
@@ -71,7 +71,7 @@ struct Shared {
     viewers: AtomicUsize,
 }
 
-/// The session's side of a viewer's queue.
+/// The end of a viewer's queue that the session uses.
 struct QueueEnd {
     sender: SyncSender<Arc<Entry>>,
     seen: Arc<Seen>,
@@ -92,7 +92,8 @@ impl Seen {
     }
 }
 
-/// Removes viewers that have disconnected, with or without a subscription. Only this list still references them.
+/// Removes viewers that have disconnected, with or without a subscription.
+/// No other owner of their data remains.
 fn forget_gone(lines: &mut Vec<QueueEnd>) {
     lines.retain(|line| Arc::strong_count(&line.seen) > 1);
 }

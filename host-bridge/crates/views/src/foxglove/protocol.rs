@@ -84,7 +84,8 @@ impl Subscriptions {
     /// Processes a message from the viewer.
     ///
     /// # Errors
-    /// The text for the viewer's user if a request cannot be satisfied. Other requests in the message still count.
+    /// Returns the text for the viewer's user if a request cannot be satisfied.
+    /// Other requests in the message still count.
     pub fn hear(&mut self, text: &str) -> Result<(), String> {
         let words: Words = serde_json::from_str(text).map_err(|error| format!("not understood: {error}"))?;
         match words.op.as_str() {

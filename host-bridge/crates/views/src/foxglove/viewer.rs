@@ -87,7 +87,8 @@ impl Viewer<'_> {
             self.socket.write(Message::text(warning(&told)))?;
         }
         let origin = Origin { nanoseconds: self.shared.session };
-        // Sends only the messages that wait now, because the viewer's messages must be read in between.
+        // Only the messages that wait now are sent.
+        // In between, the viewer's own messages must be read.
         for entry in self.queue.try_iter().take(QUEUE) {
             // If a topic was unsubscribed in the meantime, its messages are not sent.
             if let Some(id) = self.wanted.to(entry.topic) {

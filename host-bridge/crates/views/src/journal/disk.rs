@@ -22,7 +22,7 @@ use host_topics::{ENCODING, Entry, Origin, Outlet, SCHEMA_ENCODING, Teller, Topi
 const QUEUE: usize = 8192;
 /// Interval at which messages in memory are written.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-/// Size of messages in memory at which they are written earlier.
+/// If the messages in memory exceed this size, they are written earlier.
 const CHUNK_BYTES: u64 = 1 << 20;
 /// Maximum waiting time for the end of writing.
 const POLL: Duration = Duration::from_millis(50);
@@ -45,7 +45,7 @@ pub struct Kept {
     pub bytes: u64,
     /// Messages that were dropped.
     pub lost: u64,
-    /// The reason if the file ends early.
+    /// The reason, if the file ends too early.
     pub problem: Option<String>,
 }
 
@@ -76,7 +76,8 @@ impl Disk {
     /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// The file cannot be created or written, or already exists. The error is reported before the robot moves.
+    /// Fails if the file cannot be created or written, or already exists.
+    /// The error is reported before the robot moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,
@@ -96,7 +97,7 @@ impl Disk {
     /// Like `create`, with a custom storage.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// Fails if the storage cannot be written.
     pub fn with_storage<S: Storage + Send + 'static>(
         storage: S,
         file: &Path,
@@ -120,7 +121,8 @@ impl Disk {
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
     }
 
-    /// Returns once the reason why writing has stopped. The data written so far is preserved.
+    /// Returns the reason why writing has stopped, but only on the first call after that.
+    /// The data written so far is preserved.
     pub fn take_problem(&mut self) -> Option<String> {
         if self.told {
             return None;
@@ -212,7 +214,8 @@ struct Work<S: Storage> {
 }
 
 impl<S: Storage> Work<S> {
-    /// Writes until the queue is closed or the disk fails. Returns the number of messages and the length of the file.
+    /// Writes until the queue is closed or the disk fails.
+    /// Returns the number of messages and the file's length.
     fn run(mut self, queue: &Receiver<Entry>) -> (u64, u64) {
         let written = self.write_all(queue).and_then(|()| self.writer.finish().map(drop));
         // After a failure, the file already has its end.
@@ -255,7 +258,7 @@ impl<S: Storage> Work<S> {
         let time = self.origin.at(entry.time_ms);
         let header = MessageHeader {
             channel_id: self.channels[entry.topic as usize],
-            // A number across all topics that wraps.
+            // A sequence number for the messages of all topics. It wraps.
             sequence: self.messages as u32,
             log_time: time,
             publish_time: time,
@@ -278,7 +281,7 @@ pub struct Queue {
     when_full: WhenFull,
     origin: Origin,
     time_ms: u64,
-    /// Number of messages dropped since the last one that was accepted.
+    /// Number of messages dropped since the last accepted message.
     missing: u64,
 }
 
@@ -304,7 +307,7 @@ impl Outlet for Queue {
             }
             return;
         }
-        // The note about missing messages precedes the next message, in the place of the missing ones.
+        // The note about missing messages takes the place of these messages, before the next message.
         if self.missing > 0 && self.try_send(self.origin.lost(entry.time_ms, self.missing)) {
             self.missing = 0;
         }

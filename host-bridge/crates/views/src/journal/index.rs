@@ -1,9 +1,10 @@
 //! Adds the index to recordings that were killed.
 //!
 //! A session's file is valid after every write ([`super::sink`]).
-//! However, readers that jump within a file need the index at its end, which is written only when the file is closed.
+//! However, readers that jump within a file need the index at its end.
+//! The index is written when the file is closed.
 //! The next program start adds the index: it copies the messages to a new file, which then replaces the old one.
-//! A file that is still being written is locked and not changed.
+//! A file that is still being written is locked, and is not changed.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;

@@ -10,9 +10,8 @@
 //! * [`records`]: reads the contents of a file, even if it is damaged.
 //!
 //! [`host_topics`] creates the messages of a session. The file has the profile `ros2`, and its messages are CDR.
-//! Times of day are the session's clock plus the time of day at its start.
-//! Messages that a replay needs also contain the session's own milliseconds.
-//! milliseconds, too.
+//! Times of day are the session's clock plus the time of day at the start of the session.
+//! Messages that a replay needs also contain the session's own time in milliseconds.
 
 pub mod disk;
 pub mod index;

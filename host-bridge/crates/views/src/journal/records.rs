@@ -13,16 +13,16 @@ const RECORD_MAX: usize = 16 << 20;
 pub struct Records<'a> {
     bytes: &'a [u8],
     reader: LinearReader,
-    /// Set after an error, because the following data is unknown.
+    /// Set after an error, because the data that follows is unknown.
     over: bool,
 }
 
 /// Returns the records of these bytes.
 ///
 /// # Errors
-/// The data does not begin like an MCAP file.
+/// Fails if the data does not begin like an MCAP file.
 pub fn records(bytes: &[u8]) -> McapResult<Records<'_>> {
-    // The lenient reader would accept an empty file as one without an end.
+    // The lenient reader would accept an empty file as a file without an end.
     if !bytes.starts_with(mcap::MAGIC) {
         return Err(McapError::BadMagic);
     }

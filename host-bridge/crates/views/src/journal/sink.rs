@@ -2,7 +2,8 @@
 //!
 //! The last chunk is followed by the shortest valid end.
 //! The next chunk overwrites this end, with a new end, in a single write.
-//! After a kill or on a full disk, the file is therefore readable up to the last chunk, and only lacks the index.
+//! After a kill or on a full disk, the file is therefore readable up to its last chunk.
+//! After a kill, only the index is missing.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -24,18 +25,18 @@ pub(super) const END: [u8; 50] = {
     end
 };
 
-/// The required operations of a file. The tests implement one that fails.
+/// The operations that a file must support. The tests implement a file that fails.
 pub trait Storage {
     /// Writes all bytes at this position.
     ///
     /// # Errors
-    /// The error of the disk. Some of the bytes may have been written.
+    /// Returns the error of the disk. Some of the bytes may have been written.
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
     /// Removes everything after this position.
     ///
     /// # Errors
-    /// The file system's error message.
+    /// Returns the file system's error message.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -95,7 +96,7 @@ impl<S: Storage> Sink<S> {
     /// Writes the last bytes, which contain their own end.
     ///
     /// # Errors
-    /// The error of the disk. The file is valid even then.
+    /// Returns the error of the disk. The file is valid even then.
     pub fn finish(mut self) -> io::Result<(S, u64)> {
         self.put(&[])?;
         self.storage.cut(self.good)?;

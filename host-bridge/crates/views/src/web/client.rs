@@ -1,4 +1,4 @@
-//! The WebSocket of one page, which sends frames as fast as the page accepts them.
+//! The WebSocket of one page. It sends frames as fast as the page accepts them.
 //! The socket receives `stop`, marks and acknowledgements.
 
 use std::io;
@@ -52,7 +52,8 @@ pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u
     })
 }
 
-/// Serves a page until it disconnects, the session ends, or the server closes. `rest` are the bytes after the request.
+/// Serves a page until it disconnects, the session ends, or the server closes.
+/// `rest` contains the bytes after the request.
 pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
     place.looks_on();

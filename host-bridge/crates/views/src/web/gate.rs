@@ -1,10 +1,10 @@
-//! Access rules of the page: a pure function of a request's claims, with a reason for each refusal.
+//! Access rules of the page: a pure function of a request's claims. Each refusal has a reason.
 //!
 //! A server on 127.0.0.1 is exposed to two attacks.
-//! A page of another site can open a WebSocket, because browsers allow WebSockets to other origins.
+//! A page of another site can open a WebSocket, because browsers permit WebSockets to other origins.
 //! A foreign DNS name can also be pointed at 127.0.0.1 (DNS rebinding).
 //! The requested host must therefore be an address or `localhost`, and the requesting page must be ours.
-//! For passive access, the page may also be one of the named ones.
+//! For passive access, pages with one of the configured origins are also permitted.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -74,7 +74,7 @@ impl Gate {
         }
     }
 
-    /// Checks whether this request may load the page, which passes the token on.
+    /// Checks whether this request may load the page. The page then uses the same token for its WebSocket.
     ///
     /// # Errors
     /// [`Refused`].
@@ -94,7 +94,8 @@ impl Gate {
     }
 
     /// Checks whether this request may observe without being able to stop anything.
-    /// Programs other than browsers send no origin; a browser's page must be ours or one of `origins`.
+    /// Programs other than browsers send no origin.
+    /// A browser's page must be ours or have one of these `origins`.
     ///
     /// # Errors
     /// [`Refused`].

@@ -61,7 +61,7 @@ pub struct EventLine {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct History {
-    /// The first message to each page. The message does not exist before the session's first step.
+    /// The first message to each page. It does not exist before the session's first step.
     pub hello: Option<Arc<str>>,
     /// The newest [`host_core::observe::Snapshot`] as JSON.
     pub state: Arc<str>,
@@ -113,7 +113,7 @@ struct News<'a> {
     trace: &'a [[f64; 3]],
 }
 
-/// Data copied under the lock and formatted outside of it.
+/// The data for one message, which is copied under the lock and formatted outside of it.
 pub struct Frame {
     version: u64,
     state: Arc<str>,

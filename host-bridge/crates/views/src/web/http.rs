@@ -50,9 +50,10 @@ pub struct Request<'a, 'h> {
     pub claims: Claims<'a>,
 }
 
-/// Reads a request and passes it on with the bytes after it, or answers why there is none.
+/// Reads a request and passes it to `then` with the bytes after it.
+/// If there is no request, the answer contains the reason.
 pub fn with_request(mut stream: TcpStream, then: impl FnOnce(TcpStream, Request<'_, '_>, Vec<u8>)) {
-    // A socket that refuses its settings is broken, and reading from it fails too.
+    // If a socket refuses its settings, it is broken, and reading from it fails too.
     let _ = stream.set_nodelay(true);
     let _ = stream.set_write_timeout(Some(PATIENCE));
     let mut buffer = Vec::new();
@@ -123,7 +124,8 @@ fn page_or_file(
     }
 }
 
-/// Reads up to the empty line. Returns the length of the head: 0 without a request, `None` if it is too long.
+/// Reads up to the empty line. Returns the head's length:
+/// 0 without a request, `None` if the head is too long.
 fn read_head(stream: &mut TcpStream, buffer: &mut Vec<u8>) -> Option<usize> {
     let until = Instant::now() + PATIENCE;
     let mut piece = [0; 2048];
@@ -162,6 +164,6 @@ pub fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, w
         content.len()
     );
     let body = if with_body { content.as_bytes() } else { &[] };
-    // A client that disconnects during an answer does not need the rest.
+    // A client that disconnects during an answer does not need the rest of it.
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
 }

@@ -1,4 +1,4 @@
-//! The page, which displays a session in a browser and is served by this program.
+//! The web page, which shows a session in a browser. This program serves the page.
 //!
 //! ```text
 //! session loop ─► Watcher (an Observer) ─► Board: newest state, last seconds ─► a thread per page ─► browser
@@ -12,7 +12,8 @@
 //! * `watcher`: fills the history from the tap,
 //! * `client`: the WebSocket of one page.
 //!
-//! The session never waits for a page. The watcher writes to a bounded history, and each page's thread reads from it.
+//! The session never waits for a page.
+//! The watcher writes to a bounded history, and each page's thread reads from there.
 //! A page has at most [`IN_FLIGHT_MAX`] unacknowledged frames.
 //! A slow page misses states but no events, and never receives outdated states.
 //!
@@ -87,7 +88,7 @@ impl Shared {
         true
     }
 
-    /// After a panic in another thread, the list of points may be incomplete but is still valid.
+    /// After a panic in another thread, the list of points may be incomplete, but it is still valid.
     fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -161,7 +162,8 @@ impl Web {
         move || shared.show.swap(false, Ordering::SeqCst)
     }
 
-    /// Takes the marks that pages have made, one per call, for another thread. It never waits.
+    /// Returns a function for another thread. Each call removes and returns the oldest mark that a page has made.
+    /// The function never waits.
     pub fn marks(&self) -> impl Fn() -> Option<Mark> + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()

@@ -1,7 +1,7 @@
-//! A port with a thread for each connection, and its access rules, for the page and for Foxglove.
+//! A port with access rules and a thread for each connection. The page and Foxglove use it.
 //!
 //! A new connection always succeeds.
-//! If all places are taken, the connection that has been silent for longest is closed.
+//! If all places are taken, the connection that has been silent for the longest time is closed.
 //! Pages are closed last, so nobody can block the page's stop with other connections.
 
 use std::io;
@@ -16,7 +16,7 @@ use super::gate::{self, Gate};
 pub const CONNECTIONS_MAX: usize = 24;
 /// Delay for the next connection if all places are taken.
 const ROOM: Duration = Duration::from_millis(2);
-/// Maximum number of threads, which is larger because closed connections take some time to end.
+/// Maximum number of threads. It is larger because closed connections take some time to end.
 const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
 
 /// The address of the server, and its access rules.
@@ -184,20 +184,20 @@ impl Seat {
         place
     }
 
-    /// Marks the connection as a page or a viewer, which is closed only after all others.
+    /// Marks the connection as a page or a viewer. Such connections are closed only after all others.
     pub fn looks_on(&self) {
         self.looks_on.store(true, Ordering::Relaxed);
         self.heard();
     }
 
-    /// Reports data from the other side, so that the connection keeps its place.
+    /// Records data from the other side. The connection thereby keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
     }
 }
 
-/// The connections: a place and a handle to close each.
+/// The connections. Each entry has a place, and a handle that closes the connection.
 type Places = Mutex<Vec<(Arc<Seat>, TcpStream)>>;
 
 fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
@@ -220,7 +220,7 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
                 let Ok(handle) = stream.try_clone() else { continue };
                 let place = Arc::new(Seat::new(since));
                 if take(&places, Arc::clone(&place), handle) {
-                    // However many connections arrive, each gets time to send a request.
+                    // However many connections arrive, each of them has time to send a request.
                     std::thread::sleep(ROOM);
                 }
                 threads.fetch_add(1, Ordering::SeqCst);
@@ -235,7 +235,7 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
                     lock(&places).pop();
                 }
             }
-            // The cause may be that no file descriptors are left. The delay avoids a busy loop.
+            // Perhaps no file descriptors are left. The delay avoids a busy loop.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -245,7 +245,8 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Adds a connection to the list. If the list is full, the connection that has been silent for longest is closed.
+/// Adds a connection to the list.
+/// If the list is full, the connection that has been silent for the longest is closed.
 /// Connections other than pages are closed first. Returns true if one was closed.
 fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);

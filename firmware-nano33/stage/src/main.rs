@@ -1,0 +1,147 @@
+//! The second stage lies between the board's own bootloader and the image.
+//! At each start it finishes an update that was interrupted, begins one that was requested, or takes one back.
+//! Then it starts the image. No update rewrites the second stage.
+//!
+//! `shared_board::swap` contains the logic. This file contains the chip's flash controller, the check of a new image, and the start.
+#![no_std]
+#![no_main]
+
+use cortex_m::peripheral::SCB;
+use ed25519_compact::{PublicKey, Signature};
+use shared_board::swap::{self, Flash, Layout};
+use shared_board::update::{
+    END, NEW_IMAGE, PAGE_BYTES, Request, SIGNATURE_BYTES, SLOT_A, SLOT_B, STAGE_BYTES, Source, Trailer,
+};
+use shared_dsp::right::network::crc32;
+
+/// The place of the public key. Blank flash means that the board accepts no update over Bluetooth.
+const KEY_AT: u32 = STAGE_BYTES - KEY_BYTES as u32;
+const KEY_BYTES: usize = 32;
+
+unsafe extern "C" {
+    #[link_name = "_base"]
+    static BASE: u8;
+}
+
+/// The address at which the second stage starts.
+fn base() -> u32 {
+    (&raw const BASE) as u32
+}
+
+/// Bytes of the flash behind the base.
+fn stored(at: u32, len: usize) -> &'static [u8] {
+    let (at, len) = if at + len as u32 <= END { (at, len) } else { (0, 0) };
+    // SAFETY: this is memory-mapped flash that the linker does not use. Nobody keeps the bytes while `Nvmc` writes.
+    unsafe { core::slice::from_raw_parts((base() + at) as *const u8, len) }
+}
+
+/// The chip's flash controller and the watchdog, which an image may have left running.
+struct Nvmc;
+
+impl Nvmc {
+    const READY: *const u32 = 0x4001_E400 as _;
+    const CONFIG: *mut u32 = 0x4001_E504 as _;
+    const ERASE_PAGE: *mut u32 = 0x4001_E508 as _;
+    const WRITE: u32 = 1;
+    const ERASE: u32 = 2;
+    const WATCHDOG_RELOAD: *mut u32 = 0x4001_0600 as _;
+    const RELOAD: u32 = 0x6E52_4635;
+
+    /// Feeds the watchdog, which gives at least two seconds.
+    fn feed() {
+        for register in 0..8 {
+            // SAFETY: these are the eight reload registers of this chip, and they accept writes at any time.
+            unsafe { Self::WATCHDOG_RELOAD.add(register).write_volatile(Self::RELOAD) }
+        }
+    }
+
+    /// Performs an operation with the controller in this mode.
+    fn with(mode: u32, act: impl FnOnce()) {
+        Self::feed();
+        // SAFETY: these are registers of this chip, and no other code runs. An operation on flash stops the processor until it is
+        // done, and this code lies in pages that are never erased.
+        unsafe {
+            Self::CONFIG.write_volatile(mode);
+            act();
+            Self::wait();
+            Self::CONFIG.write_volatile(0);
+        }
+    }
+
+    fn wait() {
+        // SAFETY: as above.
+        while unsafe { Self::READY.read_volatile() } == 0 {}
+    }
+
+    fn put(at: u32, word: u32) {
+        // SAFETY: `at` is in a slot or the journal, and the controller accepts writes.
+        unsafe { ((base() + at) as *mut u32).write_volatile(word) }
+        Self::wait();
+    }
+}
+
+impl Flash for Nvmc {
+    type Error = core::convert::Infallible;
+
+    fn word(&self, at: u32) -> u32 {
+        // SAFETY: memory-mapped flash.
+        unsafe { ((base() + at) as *const u32).read_volatile() }
+    }
+
+    fn write(&mut self, at: u32, word: u32) -> Result<(), Self::Error> {
+        Self::with(Self::WRITE, || Self::put(at, word));
+        Ok(())
+    }
+
+    fn copy_page(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        // SAFETY: the page is in a slot. `with` has enabled erasing.
+        Self::with(Self::ERASE, || unsafe { Self::ERASE_PAGE.write_volatile(base() + to) });
+        Self::with(Self::WRITE, || {
+            for at in (0..PAGE_BYTES).step_by(4) {
+                let word = self.word(from + at);
+                // A blank word needs no time.
+                if word != u32::MAX {
+                    Self::put(to + at, word);
+                }
+            }
+        });
+        Ok(())
+    }
+}
+
+/// Returns whether the image in slot B may run on this board.
+fn accepts(_: &Nvmc, request: &Request) -> bool {
+    let file = stored(SLOT_B + NEW_IMAGE, request.size as usize);
+    Nvmc::feed();
+    let fits = crc32(file) == request.crc32
+        && Trailer::read(file).is_ok_and(|trailer| trailer.origin == base() + SLOT_A);
+    Nvmc::feed();
+    fits && (request.source == Source::Cable || is_signed(file))
+}
+
+fn is_signed(file: &[u8]) -> bool {
+    let Some((signed, signature)) = file.split_at_checked(file.len() - SIGNATURE_BYTES) else { return false };
+    let key = stored(KEY_AT, KEY_BYTES);
+    let (Ok(key), Ok(signature)) = (PublicKey::from_slice(key), Signature::from_slice(signature)) else {
+        return false;
+    };
+    stored(KEY_AT, KEY_BYTES) != [0xFF; KEY_BYTES] && key.verify(signed, &signature).is_ok()
+}
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    // What the bootloader left running must not interrupt this code, which has no handlers.
+    cortex_m::interrupt::disable();
+    let Ok(()) = swap::start(&mut Nvmc, Layout::BOARD, accepts);
+    let image = base() + SLOT_A;
+    // SAFETY: the slot holds an image, which starts with its vector table. It begins as after a reset, and sets its own table.
+    unsafe {
+        cortex_m::interrupt::enable();
+        cortex_m::asm::bootload(image as *const u32)
+    }
+}
+
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}
