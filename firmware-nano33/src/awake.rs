@@ -64,7 +64,7 @@ impl Load {
         Self { cycles: cycles(), at: embassy_time::Instant::now() }
     }
 
-    /// Returns the share awake, rounded up. Calls must be at most one minute apart.
+    /// Returns the share of time that the processor was awake, rounded up. Calls must be at most one minute apart.
     pub fn permille(&mut self) -> u16 {
         let (now, at) = (cycles(), embassy_time::Instant::now());
         let awake = u64::from(now.wrapping_sub(self.cycles));

@@ -14,7 +14,7 @@ use crate::storage::PAUSE;
 use crate::update;
 use crate::{about, board, state, vibrate};
 
-/// Answers for ever.
+/// Answers the laptop's requests forever.
 pub async fn run<F: MappedFlash>(
     mut store: ModelStore<F>,
     #[cfg(feature = "trouble")] mut images: ImageStore<impl MappedFlash>,
@@ -31,7 +31,7 @@ pub async fn run<F: MappedFlash>(
         }
         #[cfg(feature = "trouble")]
         if received.trusted && matches!(message, HostMessage::HelloRequest) {
-            // If the mark is not stored, the laptop's question about the image says so.
+            // If the mark cannot be stored, the laptop learns this when it asks about the image.
             images.said_hello().await;
         }
         if let Some(request) = request {

@@ -187,14 +187,14 @@ use left::board::{Kept, install};
 #[cfg(not(feature = "left"))]
 use model::{Kept, install};
 
-/// Answers the laptop.
+/// Answers the laptop's requests.
 #[cfg(feature = "trouble")]
 #[embassy_executor::task]
 async fn run_control(kept: Kept<BoardFlash>, images: ImageStore<storage::Images<BoardFlash>>) {
     control::run(kept, images).await
 }
 
-/// Answers the laptop.
+/// Answers the laptop's requests.
 #[cfg(not(feature = "trouble"))]
 #[embassy_executor::task]
 async fn run_control(kept: Kept<BoardFlash>) {

@@ -11,7 +11,7 @@ use shared_board::{models::StoredModel, slots::STORE_BYTES};
 #[cfg(feature = "trouble")]
 use crate::boards;
 
-/// Start address of the two slots. The memory layouts in `src/boards` end the image at this address.
+/// Start address of the two slots. All memory layouts in `src/boards` end the image at or below this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// Address of the page before the slots, which stores the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
@@ -22,7 +22,7 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 /// Bytes of that log.
 #[cfg(feature = "trouble")]
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
-/// Slot B of the images and the journal of their exchange.
+/// Address of slot B, which is followed by the journal of the image exchange.
 #[cfg(feature = "trouble")]
 pub const IMAGES_START: u32 = boards::BASE + shared_board::update::SLOT_B;
 /// Start of the last two pages of the model slots.
@@ -62,11 +62,11 @@ pub trait Flash {
 /// A part of a controller's flash.
 pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
 
-/// The place of a new image.
+/// The flash for a new image and the journal.
 #[cfg(feature = "trouble")]
 pub type Images<F> = Region<F, IMAGES_START, { shared_board::images::STORE_BYTES }>;
 
-/// The two slots of models.
+/// The flash for the two model slots.
 #[cfg(not(feature = "left"))]
 pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;
 
@@ -137,6 +137,6 @@ fn mapped(start: u32, len: usize) -> &'static [u8] {
     // SAFETY: this is memory-mapped flash that the linker does not use.
     // The flash changes only through `Flash`.
     // A `ModelStore` keeps no reference while it writes, and never writes to the slot of the running model.
-    // The same holds for a `BondLog`.
+    // The same holds for a `BondLog`. An `ImageStore` keeps no reference while it writes either.
     unsafe { core::slice::from_raw_parts(start as *const u8, len) }
 }

@@ -24,9 +24,9 @@ pub struct Parts {
     pub timer: Peri<'static, TIMER1>,
     /// Wiring of the counting.
     pub ppi: (Peri<'static, PPI_CH0>, Peri<'static, PPI_CH1>, Peri<'static, PPI_GROUP0>),
-    /// From the laptop.
+    /// The pin that receives from the laptop.
     pub rx: Peri<'static, AnyPin>,
-    /// To the laptop.
+    /// The pin that sends to the laptop.
     pub tx: Peri<'static, AnyPin>,
 }
 

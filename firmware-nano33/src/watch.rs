@@ -17,7 +17,7 @@ use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 pub struct Led {
     /// Something is wrong.
     pub red: Output<'static>,
-    /// Gestures are named.
+    /// The board recognises gestures.
     pub green: Output<'static>,
     /// Raw samples are recorded.
     pub blue: Output<'static>,
@@ -92,7 +92,7 @@ pub fn restart_after_panic() -> ! {
 /// Reports how the previous run ended. `reasons` is the value of RESETREAS at start.
 pub fn report_last_run(reasons: u32) {
     const WATCHDOG: u32 = 1 << 1;
-    // SAFETY: the reasons are those in the panic handler, and no other code runs at start.
+    // SAFETY: as in the panic handler, the mark has no other user; no other code runs at start.
     let panicked = unsafe {
         let mark = (&raw const PANICKED).read_volatile();
         (&raw mut PANICKED).write_volatile(0);

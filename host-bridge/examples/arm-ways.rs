@@ -18,11 +18,11 @@ use host_bridge::robot::{Joints, Random};
 use host_bridge::scene::{ArmTable, Scene};
 use serde_json::json;
 
-/// Plans keep this margin, unless another one is given.
+/// Default distance that plans keep from obstacles.
 const MARGIN_MM: f64 = 10.0;
-/// Poses that are closer to an obstacle than the margin and this are not requested.
+/// Each requested pose is further from obstacles than the margin, by at least this distance.
 const SPARE_M: f64 = 0.001;
-/// Poses are asked for within half a turn (of a slide: within all its metres).
+/// Requested joint angles are at most half a turn from zero. For a slide, the unit is metres.
 const HALF_TURN: f64 = 3.1;
 /// Samples per second of a path.
 const RATE: f64 = 200.0;
@@ -71,7 +71,8 @@ fn main() -> Result<()> {
             let mut joints_rad = Joints::default();
             for (value, joint) in joints_rad.iter_mut().zip(&world.arm().joints) {
                 let (low, high) = joint.limit_rad.unwrap_or((-HALF_TURN, HALF_TURN));
-                // A joint that may turn further is asked for every angle once, but may use all its range on the way.
+                // For a joint with a larger range, half a turn each way already gives every orientation once.
+                // The path itself may use the entire range.
                 *value = random.between(low.max(-HALF_TURN), high.min(HALF_TURN));
             }
             let found = around.arm_clearance(&joints_rad);

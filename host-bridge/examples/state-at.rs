@@ -29,8 +29,10 @@ impl Observer for Printer {
             let links = link_poses_in_world(now, &now.robot.picture().arm.joints_rad);
             // The page draws one frame for each joint of the arm, and one for the flange.
             let links = &links[..=COUNT];
-            let line = serde_json::json!({ "state": Snapshot::of(now), "links": links });
-            println!("{line}");
+            // Written directly, as the page's own state is: through a JSON value, an `f32` would become a longer `f64`.
+            let texts = (serde_json::to_string(&Snapshot::of(now)), serde_json::to_string(links));
+            let (Ok(state), Ok(links)) = texts else { return eprintln!("a state has no JSON text") };
+            println!("{{\"state\":{state},\"links\":{links}}}");
         }
     }
 }

@@ -7,7 +7,7 @@ use crate::scene::ArmTable;
 /// A robot's meshes have a size of a few megabytes.
 const MESH_MAX_BYTES: u64 = 200_000_000;
 
-/// A URDF that needs no other files, and remarks about it.
+/// A URDF that needs no other files, and notes about this URDF for the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ArmFile {
     /// The URDF, in which capsules replace all meshes that could be read.

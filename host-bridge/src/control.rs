@@ -123,7 +123,7 @@ pub struct Work<D: Door> {
     pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
     /// The wearer of the right hand, if this session supports showing gestures.
     pub wearer: Option<Wearer>,
-    /// Another source of presses of the wearer's key, which is polled in every turn and must not block.
+    /// Another source for presses of the wearer's key. It is polled in every turn, and must not block.
     pub shows: Box<dyn Fn() -> bool + Send>,
     /// The time at which the session ends by itself.
     pub until_ms: u64,

@@ -19,7 +19,7 @@ const PICK_AND_PLACE: &str = include_str!("../sessions/pick-and-place/session.to
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
 const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
 
-/// Recordings of both hands, worn by simulated wearers, and the script.
+/// The demo's script, and the recordings of two simulated hands.
 pub struct Demo {
     /// The left hand's converter at 100 Hz.
     pub left: AdcRecording,

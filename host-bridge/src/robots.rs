@@ -29,7 +29,7 @@ impl Stage {
     /// Creates a stage as configured, with or without a scene.
     ///
     /// # Errors
-    /// Fails if a motion or pose does not fit the arm. The error names it.
+    /// Fails if a motion or pose does not fit the arm. The error contains the name of this motion or pose.
     pub fn new(config: &Config, planner: Option<Planner>) -> Result<Self, host_arm::motions::MotionError> {
         let Some(planner) = planner else {
             let arm = host_arm::model::SerialArm::gen3();
@@ -53,7 +53,7 @@ impl Stage {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
 
-    /// Tells the node which topics the motions need, and what the frame of the arm's base is called.
+    /// Tells the node which topics the motions need, and the name of the arm's base frame.
     pub fn tell(&self, ros2: &mut Ros2Config) {
         ros2.watched = Watched {
             topics: self.motions.topics(),

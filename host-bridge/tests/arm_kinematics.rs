@@ -48,7 +48,7 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
     assert!(worst_m <= 1e-6 && worst_rad <= 1e-6);
 }
 
-/// Returns the duration of a move as in the paper and with limited jerk.
+/// Returns two durations of a move: one with the paper's limits, and one with limited jerk as well.
 fn move_s(from: Joints, to: Joints) -> [f64; 2] {
     let papers = paper_limits();
     [papers, papers.with_jerk(MAX_JERK_RAD_S3)]

@@ -77,7 +77,7 @@ fn papers_rows(summary: &Summary) {
         let gesture = started.expect("a gesture started it");
         let here_s = (pose.time_ms - gesture.time_ms) as f64 / 1000.0;
         println!(
-            "paper: demo: time from {} until {} is reached | {paper_s:.1} s from home | {here_s:.1} s",
+            "paper: demo: time from gesture {} until pose {} is reached | {paper_s:.1} s from home | {here_s:.1} s",
             gesture.label, pose.motion
         );
     }

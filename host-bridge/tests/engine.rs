@@ -225,7 +225,8 @@ fn send_hello(wire: &mut Vec<u8>) {
     keys.step(0, wire);
 }
 
-/// Returns the vibration signals of a right board with this minor version at its start and at a stop.
+/// Returns the vibration signals that a right board receives at its start and at a stop.
+/// The board has this minor version of the protocol.
 fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
     let mut config = Config::default();
     config.vibration.wired = wired;

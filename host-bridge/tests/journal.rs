@@ -250,7 +250,7 @@ fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
             live.press(HandKey::Gesture(2), now_ms);
         }
         if live.door().arm().running.is_some_and(|(_, leg)| leg == Leg::Planning) {
-            // The planner's thread gets time to plan. The session's time stands still meanwhile.
+            // This loop waits for the planner's thread. Meanwhile, the session's virtual time does not advance.
             let since_ms = *planned_ms.get_or_insert(now_ms);
             let began = Instant::now();
             while now_ms == since_ms + 500 && !live.door().plan_is_ready() {
@@ -280,7 +280,7 @@ fn a_session_in_which_a_hand_moved_the_tool_is_the_same_from_its_file() {
     let mut lent_ms = 0;
     for now_ms in (80..15_000).step_by(2) {
         match now_ms {
-            // A gesture lends the left hand to the arm, and a key returns it to the base.
+            // A gesture switches the left hand to the arm, and a key switches it back to the base.
             2_000 => live.press(HandKey::Gesture(6), now_ms),
             6_000 | 6_500 | 6_700 | 12_500 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
             8_000 => live.press(HandKey::Faster, now_ms),

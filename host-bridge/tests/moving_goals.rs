@@ -1,5 +1,6 @@
-//! Goals that move: a step goes to where an object or a thing on a topic is, or nothing moves and the reason is told.
-//! The tests run in virtual time, with the simulator and with a robot on ROS 2 whose replies the test provides.
+//! Tests goals that move: a step goes to the current position of an object.
+//! If the step is impossible, nothing moves, and the program gives the reason.
+//! The tests run in virtual time, with the simulator and with a ROS 2 robot whose replies come from the test.
 
 use host_bridge::arm::Director;
 use host_bridge::arm::gen3::{COUNT, HOME, JOINT_NAMES};
@@ -28,7 +29,7 @@ const TABLE: &str = r#"
     size_m = [0.6, 0.9, 0.45]
 "#;
 
-/// Mount of the arm in the default scene.
+/// Position of the arm's base on the robot in the default scene.
 const MOUNT_M: [f64; 3] = [0.1, 0.0, 0.4];
 
 fn simulated(scene: &str) -> Robot {
@@ -92,11 +93,11 @@ fn the_arm_picks_an_object_up_where_it_stands_and_wherever_the_base_then_is() {
             (Some(true), vec!["the gripper has cup (60 mm)".to_owned()]),
             "{at_m:?}"
         );
-        // What is in the gripper is no place to go to.
+        // The arm cannot move to an object that is in its own gripper.
         let held = robot.start("fetch").map_err(|error| error.to_string());
         assert!(robot.odometry().x_m <= 0.0);
         match held {
-            // The motion opens the gripper first, and the cup falls to a place that is known.
+            // The motion may begin, because it first opens the gripper, and the cup then falls to a known place.
             Ok(()) => robot.halt(),
             Err(why) => assert!(why.starts_with("step "), "{why}"),
         }
@@ -114,7 +115,7 @@ fn an_object_that_does_not_exist_is_an_error_of_the_file_and_a_topic_is_refused_
     assert!(refused.contains("step 2: nobody reads /cup here"), "{refused}");
 }
 
-/// Time of day at the start of a test.
+/// Unix time at the start of a test.
 const START_S: f64 = 1_790_000_000.0;
 
 const SCENE: &str = r#"
@@ -129,13 +130,54 @@ const SCENE: &str = r#"
     ]
 "#;
 
-/// A robot on ROS 2 in virtual time, and a camera that measures where the cup is every 100 ms.
+/// Creates the robot with this configuration, in the scene with the table.
+fn ros2_robot(mut ros2: Ros2Config) -> Director<RosRobot> {
+    let config = Config::default();
+    let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
+    let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
+    let stage = Stage::new(&config, Some(planner)).unwrap();
+    ros2.arm = ArmInterface::Action;
+    stage.tell(&mut ros2);
+    assert_eq!(ros2.watched.topics, ["/cup"]);
+    let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
+    robot.set_arm_listened_to(true);
+    stage.before(robot)
+}
+
+/// `teach --play` waits until the director has seen everything, because a graph brings the topics in any order.
+#[test]
+fn a_motion_in_a_scene_has_not_been_seen_before_the_robots_odometry_and_the_objects_pose_have_come() {
+    let (lower, start_s) = (MotionName::from("lower"), START_S);
+    let mut door = ros2_robot(Ros2Config::default());
+    door.robot_mut().at(10);
+    door.robot_mut().set_clock(start_s);
+    let name = JOINT_NAMES.map(str::to_owned).to_vec();
+    door.robot_mut().see(&JointState { name, position: HOME[..COUNT].to_vec(), ..JointState::default() });
+    let stamp = Time::at_ns((start_s * 1e9) as u64);
+    let header = ros::Header { stamp, frame_id: "arm_base_link".to_owned() };
+    let mut pose = ros::PoseStamped { header, ..ros::PoseStamped::default() };
+    (pose.pose.position.x, pose.pose.orientation.w) = (0.55, 1.0);
+    door.robot_mut().see_thing("/cup", &pose);
+    assert!(!door.has_seen(&lower), "the object alone is not enough");
+    let mut base = ros::Odometry::default();
+    base.pose.pose.orientation.w = 1.0;
+    door.robot_mut().see_base(&base);
+    assert!(door.has_seen(&lower));
+
+    let mut door = ros2_robot(Ros2Config::default());
+    door.robot_mut().at(10);
+    door.robot_mut().set_clock(start_s);
+    door.robot_mut().see_base(&base);
+    assert!(!door.has_seen(&lower), "the base alone is not enough");
+}
+
+/// A ROS 2 robot in virtual time, and a camera that measures the cup's position every 100 ms.
 struct Site {
     door: Director<RosRobot>,
     now_ms: u64,
     joints_rad: Joints,
     base: ros::Odometry,
-    /// In the arm's base frame; `None`: the camera is silent.
+    /// The cup's position in the frame of the arm's base. With `None`, the camera sends nothing.
     cup_m: Option<[f64; 3]>,
     frame: &'static str,
     wanted: Twist,
@@ -149,17 +191,8 @@ impl Site {
     }
 
     fn with(plans: impl FnOnce(Director<RosRobot>) -> Director<RosRobot>) -> Self {
-        let config = Config::default();
-        let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
-        let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
-        let stage = Stage::new(&config, Some(planner)).unwrap();
-        let mut ros2 = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
-        stage.tell(&mut ros2);
-        assert_eq!(ros2.watched.topics, ["/cup"]);
-        let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
-        robot.set_arm_listened_to(true);
         let mut site = Site {
-            door: plans(stage.before(robot)),
+            door: plans(ros2_robot(Ros2Config::default())),
             now_ms: 0,
             joints_rad: HOME,
             base: ros::Odometry::default(),
@@ -174,7 +207,7 @@ impl Site {
         site
     }
 
-    /// A message that was measured so long ago.
+    /// Creates the camera's message with a measurement of this age.
     fn message(&self, age_s: f64) -> ros::PoseStamped {
         let stamp_s = START_S + self.now_ms as f64 / 1000.0 - age_s;
         let mut pose = ros::PoseStamped::default();
@@ -223,7 +256,7 @@ impl Site {
         started
     }
 
-    /// Checks that a motion is refused for this reason, and that nothing is sent.
+    /// Checks that a motion is refused for this reason, and that the robot receives no goal.
     fn refuses(&mut self, motion: &str, told: &str) {
         let refused = self.start(motion).unwrap_err().to_string();
         assert!(refused.contains(told), "{refused}");
@@ -242,7 +275,7 @@ impl Site {
         self.sent.iter().filter_map(goal).collect()
     }
 
-    /// The tool's point at these angles, in the arm's base frame.
+    /// Returns the position of the tool's point at these joint angles, in the frame of the arm's base.
     fn tool_m(&self, joints_rad: &Joints) -> DVec3 {
         let tool = self.door.picture();
         assert!(!tool.tool.is_empty());
@@ -250,7 +283,7 @@ impl Site {
         SerialArm::gen3().flange_pose(joints_rad).at(world.world().tool().point_m())
     }
 
-    /// Moves the arm to its newest goal at a realistic speed, and reports success.
+    /// Moves the arm to its newest goal at a realistic speed, and reports success to the program.
     fn arrive(&mut self) {
         let (goal, there) = *self.goals().last().unwrap();
         self.door.robot_mut().answer(goal, Answer::Accepted);
@@ -286,20 +319,8 @@ fn the_arm_goes_to_where_the_thing_is_in_either_frame() {
         for cup_m in [[0.55, 0.1, 0.1], [0.6, -0.15, 0.15]] {
             let mut site = Site::new();
             if frame == "mobile_base" {
-                // The base's own name is told apart from the arm's root by the configuration.
-                let config = Config::default();
-                let scene = Scene::parse(&format!("{TABLE}{SCENE}")).unwrap();
-                let planner = Planner::new(SerialArm::gen3(), scene).unwrap();
-                let stage = Stage::new(&config, Some(planner)).unwrap();
-                let mut ros2 = Ros2Config {
-                    arm: ArmInterface::Action,
-                    base_frame: frame.to_owned(),
-                    ..Ros2Config::default()
-                };
-                stage.tell(&mut ros2);
-                let mut robot = RosRobot::new(&ros2, stage.limits, config.base);
-                robot.set_arm_listened_to(true);
-                site.door = stage.before(robot);
+                // The configuration gives the mobile base a frame name that differs from the name of the arm's root.
+                site.door = ros2_robot(Ros2Config { base_frame: frame.to_owned(), ..Ros2Config::default() });
             }
             site.frame = frame;
             site.cup_m = Some(std::array::from_fn(|i| cup_m[i] + off_m[i]));
@@ -319,7 +340,7 @@ fn the_arm_goes_to_where_the_thing_is_in_either_frame() {
 fn stale_unreachable_and_unsafe_goals_are_refused_before_anything_moves() {
     let mut site = Site::new();
     site.cup_m = None;
-    // Each step says how old a pose may be: 0.43 s are too old for the one, and not for the other.
+    // Each step has its own maximum age. A pose that is 0.43 s old is too old for step 1, but not for the other step.
     site.run(400);
     let refused = site.start("lower").unwrap_err().to_string();
     assert!(
@@ -333,7 +354,7 @@ fn stale_unreachable_and_unsafe_goals_are_refused_before_anything_moves() {
     site.cup_m = Some([1.6, 0.0, 0.1]);
     site.run(200);
     site.refuses("above", "beyond the arm's reach");
-    // The tool would be inside the table.
+    // At this position of the cup, the tool would be inside the table.
     site.cup_m = Some([0.7, 0.0, -0.2]);
     site.run(200);
     site.refuses("above", "no joint angles were found");
@@ -367,11 +388,11 @@ fn a_base_that_has_moved_since_the_measurement_makes_the_pose_useless() {
     site.cup_m = None;
     site.run(20);
     site.refuses("above", "the base has moved since");
-    // A newer pose counts again.
+    // A pose that is measured after the base has stopped is accepted.
     site.cup_m = Some([0.55, 0.1, 0.1]);
     site.run(200);
     site.start("above").unwrap();
-    // Somebody else pushes the base, as its odometry tells.
+    // Somebody pushes the base, and the program notices this in the odometry.
     let mut site = Site::new();
     site.base.twist.twist.linear.x = 0.05;
     site.run(30);
@@ -392,7 +413,7 @@ fn a_thing_that_moves_while_the_way_to_it_is_planned_is_not_gone_to() {
         assert_eq!(!site.goals().is_empty(), begins, "{moved_m}: {:?}", site.reports);
         assert_eq!(site.told("what /cup shows has moved by 0.020 m"), !begins);
     }
-    // A topic that falls silent meanwhile is no better.
+    // The plan is also discarded if the topic falls silent during planning.
     let mut site = Site::with(Director::planning_held);
     site.start("above").unwrap();
     site.cup_m = None;
@@ -420,7 +441,7 @@ fn between_two_parts_a_thing_that_moved_ends_the_motion_and_one_that_is_hidden_d
     assert_eq!((site.goals().len(), site.ended()), (1, Some(false)));
     assert!(site.told("what /cup shows has moved by 0.030 m"), "{:?}", site.reports);
 
-    // A camera that now says nonsense is not trusted either.
+    // The motion also ends if the camera's pose becomes unusable.
     let mut site = Site::new();
     site.start("lower").unwrap();
     site.frame = "map";

@@ -191,7 +191,7 @@ fn a_plan_that_does_not_come_within_two_seconds_is_refused_live_and_from_the_fil
 
 #[test]
 fn where_the_base_has_moved_meanwhile_a_plan_is_begun_only_if_its_way_is_clear_from_there() {
-    // The goals are gaps between posts around the robot, 20 degrees from the nearest posts.
+    // Posts surround the robot. Each goal lies in a gap between two posts, 20 degrees from each of them.
     for (turned_rad, begins) in [(0.05, true), (0.35, false)] {
         let mut robot = robot().planning_aside();
         let goal = goal(&robot);

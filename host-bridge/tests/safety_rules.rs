@@ -258,7 +258,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
         burst.extend(rig.left_frame());
         rig.run(20);
     }
-    // Only at this moment, 200 ms of neutral samples arrive.
+    // The 200 ms of neutral samples arrive only now, all at once.
     rig.send(Hand::Left, &burst);
     rig.talking.left = true;
     rig.run(90);

@@ -27,7 +27,7 @@ use std::sync::Arc;
 const CYCLE_MS: u64 = 10;
 /// Timeout of diff_drive_controller.
 const BASE_TIMEOUT_MS: u64 = 500;
-/// Maximum time from the death of the program to a braking arm.
+/// Maximum time from the death of the program until the arm begins to brake.
 const ARM_LIMIT_MS: u64 = 300;
 const BOOT_NS: i64 = 1_700_000_000_000_000_000;
 
@@ -44,7 +44,7 @@ struct Controller {
     message: Option<JointTrajectory>,
     joints: [f64; JOINTS],
     speed: [f64; JOINTS],
-    /// Largest change of speed in one cycle, in rad/s².
+    /// Largest acceleration in one cycle, in rad/s².
     worst_rad_s2: f64,
 }
 

@@ -196,7 +196,7 @@ impl Card {
         {
             return Err(error(format!("the label {:?} is there twice", card.labels[twice])));
         }
-        // An unknown recipe is refused later, and the error names it.
+        // An unknown recipe is refused later, with an error that contains its name.
         let inputs = crate::blob::recipe(&card.features)
             .map_or(card.scaling.mean.len(), |recipe| recipe.feature_count(card.axes));
         if !matches!(card.axes, 3 | 6 | 9)

@@ -29,7 +29,7 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     (ready, Prepared { padded, resampled })
 }
 
-/// Minimum period of a movement in samples: 5 strokes per second.
+/// Shortest period of a movement, in samples. This period corresponds to 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
 /// Minimum and maximum number of samples at the end that are compared with the samples one period earlier.
 const COMPARED: (usize, usize) = (12, 50);

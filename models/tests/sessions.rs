@@ -115,7 +115,7 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let count = |index| events::play(model, &AnnotatedRecording::aimless(5, index, 600.0)).unwrap().len();
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
-    // Simulated wearers handle objects all the time; real daily movement causes no events (`models daily events`).
+    // Simulated wearers handle objects all the time, which real people do not. Real daily movement causes no events (`models daily events`).
     // The limit is twice the previous limit (see README).
     // With the previous limit, a third of the real circles were not recognised.
     assert!(events <= 24, "{events}");

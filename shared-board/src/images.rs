@@ -1,17 +1,18 @@
-//! Receives a new image from the laptop into slot B, and requests its exchange from the second stage.
+//! Stores a new image from the laptop in slot B, and asks the second stage to install it.
 //!
-//! The pieces are those of a model's transfer. Pages are erased when the first piece for them arrives.
+//! An image arrives in the same kind of pieces as a model.
+//! Each page is erased when its first piece arrives.
 
 use crate::FrameOut;
 use crate::models::{Aligned, MappedFlash, ModelRequest, acknowledge};
 use crate::update::{
-    IMAGE_MAX, JOURNAL, NEW_IMAGE, PAGE_BYTES, Progress, SLOT_B, Source, read_journal, word,
+    END, IMAGE_MAX, JOURNAL, NEW_IMAGE, PAGE_BYTES, Progress, SLOT_B, Source, read_journal, word,
 };
 use shared_dsp::right::network::crc32;
 use shared_proto::message::{AckResult, MODEL_CHUNK_MAX};
 
-/// Size of the flash that the store needs in bytes: slot B and the journal.
-pub const STORE_BYTES: usize = (JOURNAL + PAGE_BYTES - SLOT_B) as usize;
+/// Size in bytes of the flash that the store needs for slot B and the journal.
+pub const STORE_BYTES: usize = (END - SLOT_B) as usize;
 const JOURNAL_AT: u32 = JOURNAL - SLOT_B;
 
 /// What the caller must do after a request.
@@ -19,9 +20,9 @@ const JOURNAL_AT: u32 = JOURNAL - SLOT_B;
 pub enum Then {
     /// The request is not about images, so the model store must answer it.
     Pass,
-    /// Nothing.
+    /// The caller need not do anything.
     Stay,
-    /// Restart the board, when the answer has been sent.
+    /// Restart the board after the answer has been sent.
     Restart,
 }
 
@@ -40,7 +41,7 @@ pub struct ImageStore<F> {
 }
 
 impl<F: MappedFlash> ImageStore<F> {
-    /// Creates the store. The flash starts with slot B.
+    /// Creates the store. Offset 0 of `flash` is the start of slot B.
     pub fn new(flash: F) -> Self {
         Self { flash, transfer: None }
     }
@@ -50,12 +51,12 @@ impl<F: MappedFlash> ImageStore<F> {
         &self.flash
     }
 
-    /// Returns the flash, for use at the board's next start.
+    /// Returns the flash, so that it can be used again after a restart of the board.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
-    /// Executes a request about an image and answers it. After each erased page it calls `pause`.
+    /// Executes a request about an image and answers it. This function calls `pause` after it has erased a page.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -86,7 +87,7 @@ impl<F: MappedFlash> ImageStore<F> {
         self.transfer.map_or(0, |transfer| transfer.next)
     }
 
-    /// The image that runs has said hello, so it stays.
+    /// Records that the running image has said hello. From then on, the image is permanent.
     pub async fn said_hello(&mut self) -> AckResult {
         match self.journal() {
             Some((_, Progress::OnTrial)) => self.mark(word::CONFIRMED, 0).await,
@@ -115,11 +116,11 @@ impl<F: MappedFlash> ImageStore<F> {
         if size > IMAGE_MAX || !size.is_multiple_of(4) || size == 0 {
             return AckResult::OutOfRange;
         }
-        // Before the hello, slot B has the image to which the board goes back.
+        // Until the new image has said hello, slot B contains the old image, which the board may still need.
         if matches!(self.journal(), Some((_, Progress::OnTrial))) {
             return AckResult::Busy;
         }
-        // A half-erased journal must not look like an exchange that was interrupted.
+        // A half-erased journal must not look like an interrupted exchange.
         if self.journal().is_some() && self.mark(word::MAGIC, 0).await != AckResult::Ok {
             return AckResult::StorageFailed;
         }
@@ -170,7 +171,7 @@ impl<F: MappedFlash> ImageStore<F> {
             return AckResult::BadChecksum;
         }
         let from = if source == Source::Cable { word::CABLE } else { word::AIR };
-        // The magic number is written last, because without it there is no request.
+        // The magic number is written last, because only the magic number makes a request valid.
         for (number, value) in [
             (word::SIZE, transfer.size),
             (word::CRC, crc),
@@ -184,7 +185,7 @@ impl<F: MappedFlash> ImageStore<F> {
         AckResult::Ok
     }
 
-    /// Says whether this image runs. If it does, it stays.
+    /// Returns the result of the update to this image. If the image is running, this call makes it permanent.
     async fn confirm(&mut self, crc32: u32) -> AckResult {
         match self.journal() {
             Some((request, _)) if request.crc32 != crc32 => AckResult::BadChecksum,

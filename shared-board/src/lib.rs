@@ -14,7 +14,7 @@
 //! * [`right::RightBoard`]: gestures, record mode, and requirements of the model.
 //! * [`vibration::Vibration`]: patterns of the motor at the right board.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
-//! * [`images::ImageStore`]: receives a new image of the board, which [`swap`] puts into place.
+//! * [`images::ImageStore`]: receives a new image for the board, which [`swap`] then installs.
 //!
 //! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all use this code.
 //! These programs differ only in where samples come from and where frames go.

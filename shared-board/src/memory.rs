@@ -98,7 +98,7 @@ impl RamFlash {
         Self::of(STORE_BYTES)
     }
 
-    /// Erased flash of this size.
+    /// Creates erased flash of this size.
     pub fn of(bytes: usize) -> Self {
         Self { bytes: vec![0xFF; bytes], operations: 0, cut_after: None, torn: 1 }
     }

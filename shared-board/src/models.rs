@@ -32,7 +32,7 @@ pub enum ModelRequest<'r> {
     Begin(ModelBegin<'r>),
     /// Contains a piece of the model.
     Chunk {
-        /// Repeated in the answer.
+        /// The answer repeats this number.
         request: u16,
         /// Offset of the data in the blob, in bytes.
         offset: u32,
@@ -41,23 +41,24 @@ pub enum ModelRequest<'r> {
     },
     /// All pieces were sent, so the board must verify and store the model.
     Commit {
-        /// Repeated in the answer.
+        /// The answer repeats this number.
         request: u16,
         /// CRC-32 of the complete model.
         crc32: u32,
     },
-    /// Announces a new image of the board, whose pieces follow as for a model. An [`ImageStore`](crate::images::ImageStore) answers it.
+    /// Announces a new image for the board. Its pieces follow in the same way as those of a model.
+    /// An [`ImageStore`](crate::images::ImageStore) answers this request.
     Image {
-        /// Repeated in the answer.
+        /// The answer repeats this number.
         request: u16,
         /// Size of the file in bytes.
         size: u32,
         /// CRC-32 of the file.
         crc32: u32,
     },
-    /// Asks whether this image runs. An [`ImageStore`](crate::images::ImageStore) answers it.
+    /// Asks whether this image is running. An [`ImageStore`](crate::images::ImageStore) answers this request.
     Confirm {
-        /// Repeated in the answer.
+        /// The answer repeats this number.
         request: u16,
         /// CRC-32 of the file.
         crc32: u32,
@@ -195,8 +196,8 @@ impl<F: MappedFlash> ModelStore<F> {
     }
 
     /// Executes a request and answers it.
-    /// After it has erased a page, it calls `pause`.
-    /// There, a board reads the samples that its sensor has stored in the meantime.
+    /// After this function has erased a page, it calls `pause`.
+    /// During this pause, a board reads the samples that its sensor stored while the page was erased.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -207,7 +208,7 @@ impl<F: MappedFlash> ModelStore<F> {
             ModelRequest::Begin(begin) => (begin.request, self.begin(&begin, pause, out).await),
             ModelRequest::Chunk { request, offset, data } => (request, self.chunk(offset, data).await),
             ModelRequest::Commit { request, crc32 } => (request, self.commit(crc32).await),
-            // This board's image cannot be replaced.
+            // This board does not support image updates.
             ModelRequest::Image { .. } | ModelRequest::Confirm { .. } => return request.refuse(out),
         };
         acknowledge(request, result, self.transfer.map_or(0, |t| t.next), out);

@@ -1,15 +1,15 @@
-//! The layout of a board whose image can be replaced, the file of a new image, and the state of an update.
+//! Firmware updates: the flash layout of the board, the file format of a new image, and the state of an update.
 //!
 //! ```text
-//! base             second stage, which no update rewrites
+//! base             second stage, which updates never change
 //! base +  0x6000   slot A: the image that runs
 //! base + 0x46000   slot B: one spare page and the other image
-//! base + 0x87000   journal: what was requested, and how far the second stage is
+//! base + 0x87000   journal: the request, and the progress of the second stage
 //! ```
 //!
-//! A new image waits in slot B behind the spare page.
+//! A new image is stored in slot B after the spare page.
 //! The second stage exchanges the images page by page ([`crate::swap`]).
-//! Afterwards, the old image lies at the start of slot B and the spare page is at its end.
+//! After this exchange, slot B contains the old image at its start and the spare page at its end.
 
 use shared_dsp::right::network::crc32;
 
@@ -17,7 +17,7 @@ use shared_dsp::right::network::crc32;
 pub const PAGE_BYTES: u32 = 0x1000;
 /// Bytes that the second stage may occupy.
 pub const STAGE_BYTES: u32 = 0x6000;
-/// Maximum size of an image in bytes, with its [trailer](Trailer) and signature.
+/// Maximum size of an image in bytes, including its [trailer](Trailer) and signature.
 pub const IMAGE_MAX: u32 = 0x4_0000;
 /// Offset of slot A from the base.
 pub const SLOT_A: u32 = STAGE_BYTES;
@@ -27,49 +27,55 @@ pub const SLOT_B: u32 = SLOT_A + IMAGE_MAX;
 pub const NEW_IMAGE: u32 = PAGE_BYTES;
 /// Offset of the journal from the base.
 pub const JOURNAL: u32 = SLOT_B + IMAGE_MAX + PAGE_BYTES;
-/// Offset of the first byte behind all of it.
+/// Offset of the first byte after all these areas.
 pub const END: u32 = JOURNAL + PAGE_BYTES;
 
-/// Size of a signature in bytes. It is the last part of an image's file.
+/// Size of the public key in bytes. The key is the last part of the second stage.
+pub const KEY_BYTES: usize = 32;
+/// Offset of the public key from the base.
+/// If the flash is blank there, the board accepts no updates over Bluetooth.
+pub const KEY_AT: u32 = STAGE_BYTES - KEY_BYTES as u32;
+
+/// Size of a signature in bytes. The signature is the last part of an image file.
 pub const SIGNATURE_BYTES: usize = 64;
-/// Bytes of a file behind the linked image.
+/// Number of bytes in an image file after the linked image.
 pub const TAIL_BYTES: usize = TRAILER_BYTES + SIGNATURE_BYTES;
 
 const TRAILER_BYTES: usize = 32;
 const VERSION_BYTES: usize = 16;
 const TRAILER_MAGIC: [u8; 4] = *b"BMUP";
 
-/// The description of an image, which lies between the linked image and the signature.
+/// The description of an image. In an image file, it is between the linked image and the signature.
 ///
 /// ```text
-/// 0 magic  4 origin  8 board  12 version (16 bytes)  28 CRC-32 of everything before
+/// 0 magic  4 origin  8 board  12 version (16 bytes)  28 CRC-32 of all bytes before it
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Trailer {
     /// The address for which the image is linked.
     pub origin: u32,
-    /// The number of the board in the protocol.
+    /// The number by which the protocol identifies the board.
     pub board: u8,
     /// The version as text, padded with zeros.
     pub version: [u8; VERSION_BYTES],
 }
 
-/// The reason why bytes are not the file of an image.
+/// The reason why some bytes are not a valid image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NotAnImage {
-    /// The length cannot be that of an image.
+    /// An image file cannot have this length.
     Length,
-    /// There is no description.
+    /// The description is missing.
     Kind,
     /// The checksum differs.
     Damaged,
 }
 
 impl Trailer {
-    /// Reads the description at the end of an image's file, and checks the file.
+    /// Reads the description at the end of an image file, and checks the file's checksum.
     ///
     /// # Errors
-    /// If the file is no image or is damaged. The signature is not checked.
+    /// Fails if the file is not an image or is damaged. This function does not check the signature.
     pub fn read(file: &[u8]) -> Result<Self, NotAnImage> {
         let whole =
             file.len() > TAIL_BYTES && file.len() <= IMAGE_MAX as usize && file.len().is_multiple_of(4);
@@ -94,7 +100,7 @@ impl Trailer {
         core::str::from_utf8(&self.version[..len]).unwrap_or("?")
     }
 
-    /// Returns the file of a linked image, without a signature.
+    /// Creates the file for a linked image, with space for a signature.
     #[cfg(any(test, feature = "host"))]
     pub fn file(&self, image: &[u8]) -> std::vec::Vec<u8> {
         let mut file = image.to_vec();
@@ -109,34 +115,34 @@ impl Trailer {
     }
 }
 
-/// Where an image came from.
+/// The connection over which an image arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// A cable. Who can plug one in can also press reset twice, so no signature is needed.
+    /// A USB cable. Anyone who can plug in a cable can also press reset twice, so no signature is needed.
     Cable,
     /// Bluetooth. The second stage refuses an image without a valid signature.
     Air,
 }
 
-/// Words of the journal.
+/// Numbers and values of the journal's words.
 pub(crate) mod word {
-    /// Written last by the running image.
+    /// The magic number, which the running image writes last.
     pub const MAGIC: u32 = 0;
     /// Size of the new file in bytes.
     pub const SIZE: u32 = 1;
-    /// Its CRC-32.
+    /// CRC-32 of the new file.
     pub const CRC: u32 = 2;
-    /// [`CABLE`] or anything else, which means Bluetooth.
+    /// The source of the file: [`CABLE`], or Bluetooth for any other value.
     pub const SOURCE: u32 = 3;
-    /// The second stage does not accept the image.
+    /// Mark: the second stage has refused the image.
     pub const REFUSED: u32 = 8;
-    /// The new image has been started.
+    /// Mark: the new image has been started.
     pub const TRIED: u32 = 9;
-    /// The new image has said hello.
+    /// Mark: the new image has said hello.
     pub const CONFIRMED: u32 = 10;
-    /// The old image is back.
+    /// The second stage has restored the old image.
     pub const WENT_BACK: u32 = 11;
-    /// The first of two marks for each page that was exchanged.
+    /// The first mark of the exchange, which makes two marks for each page.
     pub const FORTH: u32 = 16;
     /// Value of [`MAGIC`].
     pub const REQUESTED: u32 = u32::from_le_bytes(*b"BMJ1");
@@ -144,37 +150,37 @@ pub(crate) mod word {
     pub const CABLE: u32 = 0x600D_CAB1;
     /// Value of [`SOURCE`] for Bluetooth.
     pub const AIR: u32 = 0;
-    /// A mark that was not made.
+    /// Value of a mark that has not been made.
     pub const BLANK: u32 = u32::MAX;
 }
 
-/// What the journal requests.
+/// The update that the journal requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     /// Size of the new file in bytes.
     pub size: u32,
     /// CRC-32 of the complete file.
     pub crc32: u32,
-    /// Where it came from.
+    /// The connection over which the file arrived.
     pub source: Source,
 }
 
-/// How far an update is.
+/// The progress of an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// The image waits, or is being exchanged.
+    /// The new image is waiting for the exchange, or the exchange is in progress.
     Waiting,
-    /// The second stage does not accept the image. The old one runs.
+    /// The second stage has refused the new image, and the old image is running.
     Refused,
-    /// The new image runs, and has not said hello.
+    /// The new image is running, but has not said hello yet.
     OnTrial,
-    /// The new image runs and stays.
+    /// The new image is running, and is permanent.
     Confirmed,
-    /// The old image is back.
+    /// The second stage has restored the old image.
     WentBack,
 }
 
-/// Reads a journal, of which `word` returns the words. Returns `None` if there was no update.
+/// Reads a journal whose words `word` returns. The result is `None` if no update was requested.
 pub fn read_journal(word: impl Fn(u32) -> u32) -> Option<(Request, Progress)> {
     if word(self::word::MAGIC) != self::word::REQUESTED {
         return None;

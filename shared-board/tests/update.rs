@@ -1,4 +1,4 @@
-//! A new image of a board: its way into flash, the exchange by the second stage, and power cuts at every word.
+//! Tests image updates: the transfer into flash, the exchange by the second stage, and power cuts at every word.
 
 use std::sync::OnceLock;
 
@@ -12,9 +12,9 @@ use shared_dsp::right::network::crc32;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
 use shared_proto::message::{AckResult, BoardMessage};
 
-/// A small flash, so that every word can be cut.
+/// A flash that is small enough to test a power cut at every word.
 const SMALL: Layout = Layout { a: 0, b: 8 * 128, journal: 17 * 128, pages: 8, page_bytes: 128 };
-/// Words of the journal.
+/// Number of words in the journal.
 const JOURNAL_WORDS: usize = 64;
 const REQUEST: [u32; 4] = [u32::from_le_bytes(*b"BMJ1"), 8 * 128, 7, 0x600D_CAB1];
 const CONFIRMED: usize = 10;
@@ -22,7 +22,7 @@ const CONFIRMED: usize = 10;
 #[derive(Debug)]
 struct Cut;
 
-/// NOR flash whose power fails at an operation, of which any bits may be done.
+/// NOR flash whose power fails during an operation. Any of the operation's bits may then be written.
 #[derive(Clone)]
 struct Nor {
     words: Vec<u32>,
@@ -46,7 +46,7 @@ impl Nor {
         self.random ^= self.random << 13;
         self.random ^= self.random >> 17;
         self.random ^= self.random << 5;
-        // Nothing and everything are as likely as a part.
+        // A quarter of the masks select no bits, and a quarter select all bits.
         match self.random % 4 {
             0 => 0,
             1 => u32::MAX,
@@ -54,7 +54,7 @@ impl Nor {
         }
     }
 
-    /// Returns whether the operation is done completely, in part, or not.
+    /// Returns whether an operation is completed, is interrupted, or does not begin.
     fn works(&mut self) -> Option<bool> {
         self.operations += 1;
         match &mut self.left {
@@ -128,15 +128,15 @@ fn pattern(layout: Layout, seed: u32) -> Vec<u32> {
     (0..words).map(|i| i.wrapping_mul(2_654_435_761).rotate_left(seed) ^ seed).collect()
 }
 
-/// What happens after the new image has started.
+/// The behaviour of the new image after its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum After {
     Hello,
     Silence,
 }
 
-/// Lives through an update, with power again after each cut. Returns the number of the board's starts.
-/// After each start that ends, slot A holds one of the two images.
+/// Runs a complete update, and restores the power after each cut. Returns how often the board started.
+/// After each start that was not cut, slot A must contain one of the two images.
 fn live(nor: &mut Nor, old: &[u32], new: &[u32], after: After) -> u32 {
     let accepts = |flash: &Nor, request: &Request| {
         assert_eq!(request.size, REQUEST[1]);
@@ -161,7 +161,7 @@ fn live(nor: &mut Nor, old: &[u32], new: &[u32], after: After) -> u32 {
             Some(Progress::WentBack | Progress::Refused) => assert!(runs == old),
             other => panic!("{other:?} when an image starts"),
         }
-        // A later start changes nothing any more.
+        // After the end of the update, another start must not write anything.
         if nor.progress() != Some(Progress::OnTrial) {
             let before = nor.operations;
             swap::start(nor, nor.layout, accepts).expect("power");
@@ -252,7 +252,7 @@ fn a_board_s_own_layout_survives_cuts_too() {
     }
 }
 
-/// The file of an image that fills a few pages.
+/// Returns an image file that fills a few pages.
 fn file() -> &'static [u8] {
     static FILE: OnceLock<Vec<u8>> = OnceLock::new();
     FILE.get_or_init(|| {
@@ -316,7 +316,7 @@ impl Receiver {
         u32::from_le_bytes(self.0.flash().mapped()[at..at + 4].try_into().unwrap())
     }
 
-    /// The second stage makes a mark.
+    /// Makes a mark in the journal, as the second stage does.
     fn mark(&mut self, number: u32) {
         let mut flash = self.0.clone().into_flash();
         let at = (update::JOURNAL - update::SLOT_B + 4 * number) as usize;
@@ -390,7 +390,7 @@ fn the_laptop_hears_what_became_of_its_image() {
     assert_eq!(after(&[9, 11]).confirm(crc), AckResult::ImageWentBack);
     let mut board = after(&[9]);
     assert_eq!(board.confirm(crc ^ 1), AckResult::BadChecksum);
-    // Nothing may touch the old image before the hello.
+    // No transfer may overwrite the old image before the new image has said hello.
     assert_eq!(board.begin(file()).unwrap().0, AckResult::Busy);
     assert_eq!(board.confirm(crc), AckResult::Ok);
     assert_eq!(read_journal(|number| board.word(number)).unwrap().1, Progress::Confirmed);
@@ -404,7 +404,7 @@ fn the_laptop_hears_what_became_of_its_image() {
 #[test]
 fn a_transfer_that_loses_power_at_any_word_requests_the_whole_image_or_nothing() {
     let mut whole = Receiver::new();
-    // The journal of an earlier update is there.
+    // The flash contains the journal of an earlier update.
     whole.send(file());
     [9, 10].iter().for_each(|&mark| whole.mark(mark));
     let started = whole.0.clone().into_flash();
@@ -424,7 +424,7 @@ fn a_transfer_that_loses_power_at_any_word_requests_the_whole_image_or_nothing()
             board.ask(ModelRequest::Commit { request: 3, crc32: crc32(file()) });
         }
         match read_journal(|number| board.word(number)) {
-            // The old journal was not touched yet.
+            // The power failed before the old journal was changed.
             Some((_, Progress::Confirmed)) => assert_eq!(cut, 1),
             Some((request, progress)) => {
                 assert_eq!((request.crc32, progress), (crc32(file()), Progress::Waiting), "cut {cut}");

@@ -37,7 +37,7 @@ struct Anchor {
 
 impl Anchor {
     /// Returns the earliest time on the laptop's clock at which the board's clock can have shown `board_ms`.
-    /// Because the clock wraps, `board_ms` can mean several times.
+    /// Because the clock wraps, `board_ms` can stand for several points in time.
     /// The result uses the time within 24 days of the anchor.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);

@@ -12,7 +12,7 @@
 //! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.
 //! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
 //! Every other change is a major change (see [`PROTOCOL_MAJOR`]).
-//! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
+//! [`Hello`] and [`HostMessage::HelloRequest`] never change, so any two versions can detect that they differ.
 
 use crate::frame::{ParseError, frame_len};
 use postcard::experimental::max_size::MaxSize;
@@ -59,7 +59,7 @@ board_messages! {
         /// The answer to every other request.
         7 Ack(Ack) => Both, 0;
         /// The requirements and labels of the running model.
-        /// A right hand's board sends them after each hello.
+        /// A right hand's board sends this message after each hello.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
         /// The hardware of a right hand's board. The board sends this message after each hello.
@@ -126,8 +126,8 @@ host_messages! {
             /// The signal to play.
             signal: Signal,
         } => Right, 2;
-        /// Announces a new image of the board. Its pieces follow as [`HostMessage::ModelChunk`], and a
-        /// [`HostMessage::ModelCommit`] restarts the board with it.
+        /// Announces a new image for the board. Its pieces follow as [`HostMessage::ModelChunk`].
+        /// A [`HostMessage::ModelCommit`] then restarts the board, which installs the image.
         9 ImageBegin {
             /// Echoed in the [`Ack`].
             request: u16,
@@ -136,7 +136,7 @@ host_messages! {
             /// CRC-32 of the file.
             crc32: u32,
         } => Right, 5;
-        /// Asks whether the image of this file runs. If it does, the board keeps it.
+        /// Asks whether the image of this file is running. If so, the board makes the image permanent.
         10 ImageConfirm {
             /// Echoed in the [`Ack`].
             request: u16,
@@ -339,9 +339,9 @@ open_list! {
         StorageFailed = 9,
         /// Writes need a bonded link.
         NotBonded = 10,
-        /// The board does not accept the image: it is for another board, or its signature is not valid.
+        /// The board refused the image, because the image is for another board or its signature is invalid.
         ImageRefused = 11,
-        /// The board went back to its old image, because the new one did not say hello before a restart.
+        /// The board restored its old image, because the new image did not say hello before a restart.
         ImageWentBack = 12,
     }
 }

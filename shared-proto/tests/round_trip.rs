@@ -163,7 +163,7 @@ fn the_largest_message_of_each_kind_has_the_stated_size() {
     }
 }
 
-/// These are the sizes in protocol 1.5, which boards with little memory reserve.
+/// Boards with little memory reserve buffers of these sizes, which are those of protocol 1.5.
 #[test]
 fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];

@@ -50,7 +50,7 @@ impl Heading {
     serde(default, deny_unknown_fields)
 )]
 pub struct TiltThresholds {
-    /// A hand within this angle is neutral (5° = 87).
+    /// A hand within this angle is neutral. The default is 5°, which is 87 mrad.
     pub neutral_mrad: u16,
     /// A command ends below this angle (12° = 209).
     pub end_mrad: u16,

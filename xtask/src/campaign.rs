@@ -49,41 +49,45 @@ const LIVE: &[&str] = &["--test", "live"];
 /// The order is that of the table in docs/SAFETY.md. Tests with the wall clock run one after another.
 const FAULTS: &[Fault] = &[
     fault(
-        "v delays that are constant, step or drift by ±5 %, and restarts that nobody sees",
+        "virtual: delays that are constant, step or drift by ±5 %, and restarts that nobody sees",
         &["--test", "lateness"],
         &[],
     ),
     with(
         Needs::Speed,
-        fault("v ten million steps of a hostile link", &["-p", "host-core", "--test", "hostile"], &[]),
+        fault("virtual: ten million steps of a hostile link", &["-p", "host-core", "--test", "hostile"], &[]),
     ),
     fault(
-        "v bursts, single neutral frames, pauses, suspend, stops and releases",
+        "virtual: bursts, single neutral frames, pauses, suspend, stops and releases",
         &["--test", "safety_rules"],
         &[],
     ),
-    fault("v ten thousand random sessions", &["--test", "random_sessions"], &[]),
+    fault("virtual: ten thousand random sessions", &["--test", "random_sessions"], &[]),
     fault(
-        "v a robot that refuses, an arm that is ended alone, unbonded boards",
+        "virtual: a robot that refuses, an arm that is ended alone, unbonded boards",
         &["--test", "refusals"],
         &[],
     ),
     fault(
-        "v palm up, walking, shaking, humming pins: 30 min of 10 wearers",
+        "virtual: palm up, walking, shaking, humming pins: 30 min of 10 wearers",
         &["--test", "left_judgement"],
         &[],
     ),
-    fault("v driving in proportion to the tilt", &["--test", "proportional"], &[]),
+    fault("virtual: driving in proportion to the tilt", &["--test", "proportional"], &[]),
     with(Needs::Speed, fault("mutated streams", &["-p", "shared-proto", "--test", "mutations"], &[])),
     fault("mutated files", &["--test", "hostile_files"], &[]),
-    fault("v the program dead or frozen, its cable cut, in each motion", &["--test", "third_stop"], &[]),
     fault(
-        "v two servers, late and forged replies, invalid joint states, 40,000 joint names",
+        "virtual: the program dead or frozen, its cable cut, in each motion",
+        &["--test", "third_stop"],
+        &[],
+    ),
+    fault(
+        "virtual: two servers, late and forged replies, invalid joint states, 40,000 joint names",
         &["--test", "servers"],
         &[],
     ),
-    fault("v a gripper that fails, and holds within a sequence", &["--test", "gripper_robot"], &[]),
-    fault("v clocks apart, simulated time", &["-p", "host-ros2", "--lib"], &["clocks::"]),
+    fault("virtual: a gripper that fails, and holds within a sequence", &["--test", "gripper_robot"], &[]),
+    fault("virtual: clocks apart, simulated time", &["-p", "host-ros2", "--lib"], &["clocks::"]),
     with(
         Needs::Cyclone,
         fault("kill -9, SIGSTOP for good, each signal, before a robot", LIVE, &["live::ros2::however"]),
@@ -133,7 +137,11 @@ const FAULTS: &[Fault] = &[
         &["live::stops::a_reader", "live::stops::output"],
     ),
     fault("stopped and continued, 0.3 to 60 s", LIVE, &["live::stops::a_program"]),
-    fault("v the laptop asleep, both boards' images awake", LIVE, &["live::desk::a_laptop_that_slept"]),
+    fault(
+        "virtual: the laptop asleep, both boards' images awake",
+        LIVE,
+        &["live::desk::a_laptop_that_slept"],
+    ),
     fault("delays on the real program", LIVE, &["live::stops::a_board"]),
     fault("record cut short, or twice at a time", LIVE, &["live::stops::a_recording", "live::stops::two"]),
 ];

@@ -94,11 +94,7 @@ struct Size {
 
 impl Size {
     fn of(elf: &Path) -> Result<Self> {
-        let text = output(Command::new("avr-size").arg("-A").arg(elf))?;
-        let section = |name: &str| -> u64 {
-            let line = text.lines().find(|line| line.split_whitespace().next() == Some(name));
-            line.and_then(|line| line.split_whitespace().nth(1)?.parse().ok()).unwrap_or(0)
-        };
+        let section = sections("avr-size", elf)?;
         let size = Self {
             flash: section(".text") + section(".data"),
             ram: section(".data") + section(".bss") + section(".noinit"),
@@ -108,6 +104,16 @@ impl Size {
         }
         Ok(size)
     }
+}
+
+/// Returns a function that gives the size of a section in bytes, or 0 if the program has no such section.
+/// `size` is the tool that lists the sections.
+pub fn sections(size: &str, elf: &Path) -> Result<impl Fn(&str) -> u64> {
+    let text = output(Command::new(size).arg("-A").arg(elf))?;
+    Ok(move |name: &str| {
+        let line = text.lines().find(|line| line.split_whitespace().next() == Some(name));
+        line.and_then(|line| line.split_whitespace().nth(1)?.parse().ok()).unwrap_or(0)
+    })
 }
 
 /// Runs all functions of the image in the emulator, and returns the deepest use of the stack.

@@ -41,8 +41,8 @@ const VARIANTS: [(&str, &[&str], &str); 6] = [
     ),
 ];
 
-/// Address at which a XIAO's image starts, behind S140.
-const XIAO_ORIGIN: u32 = 0x27000;
+/// Address at which a XIAO's file for flashing starts, behind S140.
+pub const XIAO_ORIGIN: u32 = 0x27000;
 
 /// Parts of the image, each with words that occur in its symbols' names. The first part that matches counts.
 const PARTS: [(&str, &[&str]); 6] = [
@@ -103,7 +103,7 @@ fn board(name: &str) -> Board {
 }
 
 /// Builds all variants, or only the named one, and prints their sizes.
-/// `--key` names the public key with which the boards check updates over Bluetooth.
+/// `--key` gives the file with the public key. Boards use this key to check updates over Bluetooth.
 ///
 /// # Errors
 /// Fails if a variant does not build, or if the name is unknown.
@@ -129,18 +129,15 @@ pub fn run(args: &[&str]) -> Result<()> {
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
-        let mut origin = XIAO_ORIGIN;
-        let raw = if has_second_stage(options) {
+        if has_second_stage(options) {
             let stage = second_stage::build(&image, is_xiao(name))?;
             let files = second_stage::make_files(&image, &stage, board(name), key)?;
             println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
-            origin = second_stage::base(is_xiao(name));
-            Some(files[0].clone())
-        } else {
-            None
-        };
+        } else if is_xiao(name) {
+            objcopy(&image, "binary", &image.with_extension("bin"))?;
+        }
         if is_xiao(name) {
-            println!("  {}", make_uf2(&image, raw, origin)?.display());
+            println!("  {}", make_uf2(&image)?.display());
         }
         report(&image)?;
     }
@@ -148,16 +145,24 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Builds the variants that the tests run: all but `xiao-trouble`, whose code is in the others.
-/// `--full` also builds `xiao-trouble`.
+/// Returns whether this run builds and tests the images with Bluetooth linked in.
+/// Their build and their tests take minutes, so only `--full` has them.
+/// To have them in every run, return `true` here.
+pub fn tests_have_linked_images() -> bool {
+    is_full()
+}
+
+/// Builds the variants that the tests run.
+/// Only `--full` builds `xiao-trouble`, whose code is also in the other variants.
 ///
 /// # Errors
 /// As [`run`].
 pub fn run_for_tests() -> Result<()> {
-    if is_full() {
-        return run(&[]);
-    }
-    VARIANTS.iter().filter(|(name, ..)| *name != "xiao-trouble").try_for_each(|(name, ..)| run(&[name]))
+    VARIANTS
+        .iter()
+        .filter(|(_, options, _)| tests_have_linked_images() || !has_second_stage(options))
+        .filter(|(name, ..)| is_full() || *name != "xiao-trouble")
+        .try_for_each(|(name, ..)| run(&[name]))
 }
 
 /// Returns a cargo command for the images.
@@ -217,18 +222,20 @@ pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
 }
 
-/// Converts the image to the format of the XIAO's bootloader, and writes the result to the same folder.
-fn make_uf2(image: &Path, raw: Option<PathBuf>, origin: u32) -> Result<PathBuf> {
+/// Converts an image to another format.
+///
+/// # Errors
+/// Fails if the image does not exist.
+pub fn objcopy(image: &Path, format: &str, file: &Path) -> Result<()> {
+    sh(Command::new(tool("objcopy")).args(["-O", format]).arg(image).arg(file))
+}
+
+/// Converts the image's `.bin` file to the format of the XIAO's bootloader.
+/// Writes the result to the same folder.
+fn make_uf2(image: &Path) -> Result<PathBuf> {
     let file = image.with_extension("uf2");
-    let raw = match raw {
-        Some(raw) => raw,
-        None => {
-            let raw = image.with_extension("bin");
-            sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
-            raw
-        }
-    };
-    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, origin, uf2::NRF52840))?;
+    let raw = std::fs::read(image.with_extension("bin"))?;
+    std::fs::write(&file, uf2::encode(&raw, XIAO_ORIGIN, uf2::NRF52840))?;
     Ok(file)
 }
 

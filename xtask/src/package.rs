@@ -164,19 +164,19 @@ fn images(folder: &Path) -> Result<()> {
     for (variant, format, name) in
         [("bootloader", "binary", "nano33-bootloader.bin"), ("ble", "ihex", "nano33-s140.hex")]
     {
-        let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
-        sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
+        firmware_nano33::objcopy(&firmware_nano33::image(variant), format, &folder.join(name))?;
     }
-    let linked = firmware_nano33::image("trouble");
-    copy(&linked.with_extension("bin"), &folder.join("nano33-trouble.bin"))?;
-    copy(&linked.with_extension("update"), &folder.join("nano33-trouble.update"))?;
-    for name in ["xiao-trouble", "xiao-left"] {
-        let file = firmware_nano33::image(name).with_extension("update");
-        copy(&file, &folder.join(name).with_extension("update"))?;
-    }
-    for name in ["xiao", "xiao-trouble", "xiao-left"] {
-        let file = firmware_nano33::image(name).with_extension("uf2");
-        copy(&file, &folder.join(name).with_extension("uf2"))?;
+    for (variant, end, name) in [
+        ("trouble", "bin", "nano33-trouble"),
+        ("trouble", "update", "nano33-trouble"),
+        ("xiao-trouble", "update", "xiao-trouble"),
+        ("xiao-trouble", "uf2", "xiao-trouble"),
+        ("xiao-left", "update", "xiao-left"),
+        ("xiao-left", "uf2", "xiao-left"),
+        ("xiao", "uf2", "xiao"),
+    ] {
+        let file = firmware_nano33::image(variant).with_extension(end);
+        copy(&file, &folder.join(name).with_extension(end))?;
     }
     Ok(())
 }
@@ -187,7 +187,7 @@ fn copy(from: &Path, to: &PathBuf) -> Result<()> {
     Ok(())
 }
 
-/// Another project's crate in the programs: `name vVERSION` and its licence.
+/// A third-party crate in the programs, as `name vVERSION`, and the licence of this crate.
 type Part<'a> = (&'a str, &'a str);
 
 /// Returns the crates of other projects, each once.

@@ -103,7 +103,7 @@ pub fn strangers() -> Result<()> {
     Ok(())
 }
 
-/// Trains a model. Then replays joined recordings, which the model has never seen, to the simulator.
+/// Trains a model, and then replays joined recordings to the simulator. The model has never seen these recordings.
 pub fn replay() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let out = target_dir().join("real-data");

@@ -1,31 +1,24 @@
-//! The second stage of images that can be updated through their port, and the two files that such an image is given as:
-//! one to flash, with the second stage, and one for `host-bridge update`.
+//! Builds the second stage for images that can be updated without a debug probe.
+//! Also writes the two files of such an image:
+//! one for flashing, which includes the second stage, and one for `host-bridge update`.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
-use shared_board::update::{IMAGE_MAX, SLOT_A, STAGE_BYTES, TAIL_BYTES, Trailer};
+use shared_board::update::{IMAGE_MAX, KEY_AT, KEY_BYTES, SLOT_A, TAIL_BYTES, Trailer};
 use shared_proto::message::Board;
 
 use crate::steps::sh;
 use crate::toolchain::{Target, cargo};
 use crate::{firmware_nano33, root, target_dir};
 
-/// Where the second stages of a Nano 33 and of a XIAO start.
-const NANO33: u32 = 0x1_0000;
-const XIAO: u32 = 0x2_7000;
-const KEY_BYTES: usize = 32;
+/// Start address of the second stage on a Nano 33.
+const NANO33_ORIGIN: u32 = 0x1_0000;
 
-/// Returns the address at which the file to flash starts.
-pub fn base(is_xiao: bool) -> u32 {
-    if is_xiao { XIAO } else { NANO33 }
-}
-
-/// Builds the second stage of an image, and returns its path, which is beside the image.
+/// Builds the second stage of an image, and returns its path, which is in the same folder as the image.
 ///
 /// # Errors
-/// If it does not build.
+/// Fails if the second stage does not build.
 pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
     let mut command = cargo(Target::Thumb, "build")?;
     command.args(["--release", "--locked", "-p", "nano33-stage"]);
@@ -40,15 +33,15 @@ pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
     Ok(stage)
 }
 
-/// Writes `.bin`, which is flashed and contains the second stage with this public key or none, and `.update`.
-/// Returns the two paths.
+/// Writes a `.bin` file for flashing and an `.update` file, and returns the two paths.
+/// The `.bin` file includes the second stage, which contains the public key if there is one.
 ///
 /// # Errors
-/// If a part is too large, or the key is none.
+/// Fails if a part is too large, or if the key file does not contain a key.
 pub fn make_files(image: &Path, stage: &Path, board: Board, key: Option<&Path>) -> Result<[PathBuf; 2]> {
     let raw = |elf: &Path| -> Result<Vec<u8>> {
         let file = elf.with_extension("raw");
-        sh(Command::new(firmware_nano33::tool("objcopy")).args(["-O", "binary"]).arg(elf).arg(&file))?;
+        firmware_nano33::objcopy(elf, "binary", &file)?;
         Ok(std::fs::read(&file)?)
     };
     let (stage, linked) = (raw(stage)?, raw(image)?);
@@ -59,20 +52,20 @@ pub fn make_files(image: &Path, stage: &Path, board: Board, key: Option<&Path>) 
         image.display(),
         linked.len()
     );
+    let base = if board == Board::RightNano33 { NANO33_ORIGIN } else { firmware_nano33::XIAO_ORIGIN };
     let text = version()?;
     let mut version = [0; 16];
     version.get_mut(..text.len()).context("the version is too long")?.copy_from_slice(text.as_bytes());
-    let trailer =
-        Trailer { origin: base(board != Board::RightNano33) + SLOT_A, board: board.into(), version };
+    let trailer = Trailer { origin: base + SLOT_A, board: board.into(), version };
     let files = [image.with_extension("bin"), image.with_extension("update")];
     std::fs::write(&files[0], whole(stage, &linked, key)?)?;
     std::fs::write(&files[1], trailer.file(&linked))?;
     Ok(files)
 }
 
-/// The second stage, its key at its end, and the image.
+/// Returns the second stage, with the key at its end, followed by the image.
 fn whole(mut stage: Vec<u8>, linked: &[u8], key: Option<[u8; KEY_BYTES]>) -> Result<Vec<u8>> {
-    let room = STAGE_BYTES as usize - KEY_BYTES;
+    let room = KEY_AT as usize;
     ensure!(stage.len() <= room, "the second stage has {} bytes, and room for {room}", stage.len());
     stage.resize(room, 0xFF);
     stage.extend(key.unwrap_or([0xFF; KEY_BYTES]));
@@ -98,7 +91,7 @@ fn public_key(path: &Path) -> Result<[u8; KEY_BYTES]> {
     Ok(key)
 }
 
-/// The version in the firmware's Cargo.toml.
+/// Returns the version in the firmware's Cargo.toml.
 fn version() -> Result<String> {
     let manifest = std::fs::read_to_string(root().join("firmware-nano33/Cargo.toml"))?;
     let line = manifest.lines().find_map(|line| line.strip_prefix("version = \""));

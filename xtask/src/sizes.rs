@@ -2,12 +2,12 @@
 //! The command also measures the flash of our own functions.
 
 use std::path::Path;
-use std::process::Command;
 
 use anyhow::{Context as _, Result, ensure};
 
+use crate::firmware_avr::sections;
 use crate::firmware_nano33::tool;
-use crate::steps::{output, sh};
+use crate::steps::sh;
 use crate::toolchain::{self, Target};
 use crate::{root, target_dir};
 
@@ -43,12 +43,7 @@ fn flash(target: Target, size: &str, feature: &str) -> Result<u64> {
 
 /// Returns the size of code and constants.
 fn code(size: &str, elf: &Path) -> Result<u64> {
-    let text = output(Command::new(size).arg("-A").arg(elf))?;
-    let flash = [".text", ".rodata", ".data"].iter().map(|section| {
-        let line = text.lines().find(|line| line.split_whitespace().next() == Some(section));
-        line.and_then(|line| line.split_whitespace().nth(1)?.parse::<u64>().ok()).unwrap_or(0)
-    });
-    let flash: u64 = flash.sum();
+    let flash: u64 = [".text", ".rodata", ".data"].map(sections(size, elf)?).iter().sum();
     ensure!(flash > 0, "`{size} -A {}` shows no code", elf.display());
     Ok(flash)
 }

@@ -115,8 +115,10 @@ fn run_groups() -> Result<ExitCode> {
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
         announce("XIAO_ELF", &firmware_nano33::image("xiao"));
-        announce("NANO33_TROUBLE_ELF", &firmware_nano33::image("trouble"));
-        announce("XIAO_LEFT_ELF", &firmware_nano33::image("xiao-left"));
+        if firmware_nano33::tests_have_linked_images() {
+            announce("NANO33_TROUBLE_ELF", &firmware_nano33::image("trouble"));
+            announce("XIAO_LEFT_ELF", &firmware_nano33::image("xiao-left"));
+        }
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
@@ -409,7 +411,8 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Tests two arms if the packages for these checks are installed. With `--full`, tests ten arms and a Gen3 with tools.
+/// Tests two arms, if the packages for these checks are installed.
+/// With `--full`, it tests ten arms and a Gen3 with tools.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");

@@ -49,7 +49,7 @@ impl Target {
 /// Returns a `cargo` for the target, ready for a subcommand such as `build --release`.
 ///
 /// # Errors
-/// Names the package to install if neither rustup nor Debian's compiler supports the target.
+/// Fails if neither rustup nor Debian's compiler supports the target. The error says which package to install.
 pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     let mut command = if has_rustup(target) {
         let mut command = Command::new("cargo");

@@ -60,7 +60,7 @@ pub struct Raw {
 }
 
 impl Raw {
-    /// From the registers.
+    /// Converts the contents of the registers.
     fn from_bytes(bytes: [u8; 8]) -> Self {
         let word = |i: usize| i16::from_le_bytes([bytes[i], bytes[i + 1]]);
         Self { field: [word(0) >> 3, word(2) >> 3, word(4) >> 1], hall: word(6) as u16 >> 2 }

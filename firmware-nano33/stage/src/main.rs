@@ -1,8 +1,9 @@
-//! The second stage lies between the board's own bootloader and the image.
-//! At each start it finishes an update that was interrupted, begins one that was requested, or takes one back.
-//! Then it starts the image. No update rewrites the second stage.
+//! The second stage of the boot process: the board's bootloader starts it, and it starts the image.
+//! Before that, it finishes an interrupted update, begins a requested update, or undoes a failed update.
+//! Updates never change the second stage itself.
 //!
-//! `shared_board::swap` contains the logic. This file contains the chip's flash controller, the check of a new image, and the start.
+//! `shared_board::swap` contains the logic of the exchange.
+//! This file controls the chip's flash, checks new images, and starts the image.
 #![no_std]
 #![no_main]
 
@@ -10,32 +11,28 @@ use cortex_m::peripheral::SCB;
 use ed25519_compact::{PublicKey, Signature};
 use shared_board::swap::{self, Flash, Layout};
 use shared_board::update::{
-    END, NEW_IMAGE, PAGE_BYTES, Request, SIGNATURE_BYTES, SLOT_A, SLOT_B, STAGE_BYTES, Source, Trailer,
+    END, KEY_AT, KEY_BYTES, NEW_IMAGE, PAGE_BYTES, Request, SIGNATURE_BYTES, SLOT_A, SLOT_B, Source, Trailer,
 };
 use shared_dsp::right::network::crc32;
-
-/// The place of the public key. Blank flash means that the board accepts no update over Bluetooth.
-const KEY_AT: u32 = STAGE_BYTES - KEY_BYTES as u32;
-const KEY_BYTES: usize = 32;
 
 unsafe extern "C" {
     #[link_name = "_base"]
     static BASE: u8;
 }
 
-/// The address at which the second stage starts.
+/// Returns the start address of the second stage.
 fn base() -> u32 {
     (&raw const BASE) as u32
 }
 
-/// Bytes of the flash behind the base.
+/// Returns `len` bytes of flash at an offset from the base, or no bytes if they do not end before [`END`].
 fn stored(at: u32, len: usize) -> &'static [u8] {
-    let (at, len) = if at + len as u32 <= END { (at, len) } else { (0, 0) };
-    // SAFETY: this is memory-mapped flash that the linker does not use. Nobody keeps the bytes while `Nvmc` writes.
+    let len = if len <= (END - at) as usize { len } else { 0 };
+    // SAFETY: this is memory-mapped flash that the linker does not use. No reference exists while `Nvmc` writes.
     unsafe { core::slice::from_raw_parts((base() + at) as *const u8, len) }
 }
 
-/// The chip's flash controller and the watchdog, which an image may have left running.
+/// The chip's flash controller, and the watchdog, which may still be running after a restart.
 struct Nvmc;
 
 impl Nvmc {
@@ -47,7 +44,7 @@ impl Nvmc {
     const WATCHDOG_RELOAD: *mut u32 = 0x4001_0600 as _;
     const RELOAD: u32 = 0x6E52_4635;
 
-    /// Feeds the watchdog, which gives at least two seconds.
+    /// Feeds the watchdog. Its time-out is at least two seconds.
     fn feed() {
         for register in 0..8 {
             // SAFETY: these are the eight reload registers of this chip, and they accept writes at any time.
@@ -55,11 +52,12 @@ impl Nvmc {
         }
     }
 
-    /// Performs an operation with the controller in this mode.
+    /// Performs an operation while the flash controller is in this mode.
     fn with(mode: u32, act: impl FnOnce()) {
         Self::feed();
-        // SAFETY: these are registers of this chip, and no other code runs. An operation on flash stops the processor until it is
-        // done, and this code lies in pages that are never erased.
+        // SAFETY: these are registers of this chip, and no other code runs.
+        // A flash operation stops the processor until the operation is complete.
+        // The pages that contain this code are never erased.
         unsafe {
             Self::CONFIG.write_volatile(mode);
             act();
@@ -69,7 +67,7 @@ impl Nvmc {
     }
 
     fn wait() {
-        // SAFETY: as above.
+        // SAFETY: this is a register of this chip, as above.
         while unsafe { Self::READY.read_volatile() } == 0 {}
     }
 
@@ -84,7 +82,7 @@ impl Flash for Nvmc {
     type Error = core::convert::Infallible;
 
     fn word(&self, at: u32) -> u32 {
-        // SAFETY: memory-mapped flash.
+        // SAFETY: this reads memory-mapped flash.
         unsafe { ((base() + at) as *const u32).read_volatile() }
     }
 
@@ -94,12 +92,12 @@ impl Flash for Nvmc {
     }
 
     fn copy_page(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
-        // SAFETY: the page is in a slot. `with` has enabled erasing.
+        // SAFETY: the page is in a slot, and `with` has enabled erasing.
         Self::with(Self::ERASE, || unsafe { Self::ERASE_PAGE.write_volatile(base() + to) });
         Self::with(Self::WRITE, || {
             for at in (0..PAGE_BYTES).step_by(4) {
                 let word = self.word(from + at);
-                // A blank word needs no time.
+                // Blank words are already correct after the erase, so writing them would waste time.
                 if word != u32::MAX {
                     Self::put(to + at, word);
                 }
@@ -130,11 +128,12 @@ fn is_signed(file: &[u8]) -> bool {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    // What the bootloader left running must not interrupt this code, which has no handlers.
+    // The bootloader may leave interrupts enabled, but this code has no interrupt handlers.
     cortex_m::interrupt::disable();
     let Ok(()) = swap::start(&mut Nvmc, Layout::BOARD, accepts);
     let image = base() + SLOT_A;
-    // SAFETY: the slot holds an image, which starts with its vector table. It begins as after a reset, and sets its own table.
+    // SAFETY: slot A contains an image, which starts with its vector table.
+    // The image starts as after a reset, and registers its own vector table.
     unsafe {
         cortex_m::interrupt::enable();
         cortex_m::asm::bootload(image as *const u32)

@@ -195,7 +195,7 @@ pub fn check_person(option: &str, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// Names become parts of file paths.
+/// Checks a name that becomes part of a file path.
 fn check_name(what: &str, name: &str) -> Result<()> {
     let plain = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
     ensure!(

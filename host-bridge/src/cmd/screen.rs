@@ -81,7 +81,7 @@ pub struct Screen {
     pub keys: String,
     /// The key that ends the arm's motion.
     pub end_arm: char,
-    /// The key that lends the left hand to the arm, and takes it back.
+    /// The key that switches the left hand from the base to the arm, and back.
     pub clutch: Option<char>,
     /// Whether the clutch's key is held.
     pub clutch_held: Held,

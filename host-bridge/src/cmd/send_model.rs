@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Sends everything, and resumes after an interruption. Ends early when `quit` is set.
+/// Sends all pieces, and resumes after an interruption. The transfer ends early when `quit` is set.
 pub(super) fn transfer(
     talk: &mut Talk,
     upload: &mut Upload,

@@ -1,4 +1,4 @@
-//! `host-bridge update`: replaces the image of a board with an nRF52840, without a probe.
+//! `host-bridge update`: replaces the firmware image of a board with an nRF52840. No debug probe is needed.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -19,9 +19,9 @@ use super::ports::PortOptions;
 use super::send_model::transfer;
 
 const HELLO_MS: u64 = 6000;
-/// Time for the exchange of the images, which takes about 20 s, and for a link that must be found again.
+/// Time limit for the exchange of the images, which takes about 20 s, and for the reconnection.
 const EXCHANGE_MS: u64 = 120_000;
-/// Boards since this version of the protocol take images.
+/// The first minor version of the protocol in which boards accept images.
 const SINCE_MINOR: u8 = HostMessage::ImageConfirm { request: 0, crc32: 0 }.row().since;
 
 /// Options.
@@ -69,11 +69,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     );
     let quit = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&quit, false).context("signals cannot be caught here")?;
-    // No gesture and no state comes from the board meanwhile, so a bridge that listens to it halts its robot.
+    // During the transfer, the board sends no gestures and no state.
+    // A bridge that uses this board therefore halts its robot.
     set_mode(&mut talk, Mode::Idle)?;
     let mut upload = Upload::image(&file, talk.next_request());
     if let Err(error) = transfer(&mut talk, &mut upload, who.boot_id, &quit) {
-        // The board recognises gestures again. If this message is lost too, a restart has the same effect.
+        // This message makes the board recognise gestures again. If it is lost, a restart has the same effect.
         let _ = set_mode(&mut talk, Mode::Classify);
         return Err(error);
     }
@@ -103,10 +104,10 @@ fn read(path: &Path) -> Result<(Vec<u8>, Trailer)> {
     }
 }
 
-/// Refuses a board that this file is not for, or that cannot be updated this way.
+/// Refuses the update if the file is for another board, or if the board cannot be updated in this way.
 fn check(port: &str, who: &Who, path: &Path, trailer: &Trailer) -> Result<()> {
     let wanted = Board::from(trailer.board);
-    // Both revisions of the Nano 33 run the same image.
+    // Both hardware revisions of the Nano 33 run the same image.
     let same = |board| if board == Board::RightNano33Rev2 { Board::RightNano33 } else { board };
     ensure!(
         same(wanted) == same(who.board),
@@ -123,7 +124,7 @@ fn check(port: &str, who: &Who, path: &Path, trailer: &Trailer) -> Result<()> {
     Ok(())
 }
 
-/// Waits for the restarted board, and asks what became of the image.
+/// Waits for the restarted board, and asks it whether the new image is running.
 fn outcome(talk: &mut Talk, crc32: u32, before: &Who, trailer: &Trailer) -> Result<ExitCode> {
     let request = talk.next_request();
     let until_ms = talk.now_ms() + EXCHANGE_MS;
@@ -207,7 +208,7 @@ fn new_key(path: &Path) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a file that does not exist yet. A secret one is for its owner alone.
+/// Creates a file, and fails if it already exists. Only its owner can read a secret file.
 fn write_new(path: &Path, text: &str, secret: bool) -> Result<()> {
     use std::io::Write as _;
     let mut options = std::fs::OpenOptions::new();

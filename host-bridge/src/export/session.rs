@@ -62,7 +62,7 @@ pub enum ExportError {
     /// A required stream is missing.
     #[error("the file has no messages of {0}, which an episode needs; record the session whole")]
     Missing(&'static str),
-    /// The joints are not the same during the whole session.
+    /// The number or names of the joints change during the session.
     #[error("the joints change within the file, from {0} to {1}; export sessions of one robot")]
     Joints(String, String),
     /// The given files cannot be combined.

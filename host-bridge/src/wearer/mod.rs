@@ -29,7 +29,7 @@ pub use kept::{Kept, next_file};
 
 /// Range of request numbers that one showing may use.
 const REQUESTS: u16 = 0x400;
-/// Gestures have no effect for this long after the last one was shown.
+/// After the last example, gestures have no effect for this time.
 /// The board's window may still contain that gesture.
 const AFTER_MS: u64 = 3000;
 /// Interval at which the other thread checks whether the session is over.

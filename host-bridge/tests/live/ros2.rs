@@ -282,7 +282,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
 }
 
-/// Places in the right hand's recording: 16 s of rest, and the beginning of a to-fro.
+/// Times in the right hand's recording at which 16 s of rest and a to-fro gesture begin.
 const RESTS_S: f64 = 70.5;
 const TO_FRO_S: f64 = 8.2;
 
@@ -300,7 +300,7 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "[jog]\nlabel = 'to-fro'\n", &options);
     let lends = |lent: bool| move |v: &Value| is(v, "jogging") && v["lent"] == lent;
-    // The clutch is refused until the program knows the arm, which takes seconds on Fast DDS.
+    // The program refuses the clutch until it has received the arm's state, which takes seconds on Fast DDS.
     let mut lent = None;
     for _ in 0..20 {
         right.jump(RESTS_S);
@@ -319,7 +319,8 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let is_piece = |v: &Value| is(v, "trajectory");
     assert!(!robot.seen.iter().any(|(_, v)| is_piece(v)), "nothing moves yet");
 
-    // The hand stays tilted. A busy machine may halt the arm before it moves, and then needs neutral again.
+    // The left hand stays tilted. On a busy machine, the arm may halt before it moves.
+    // After such a halt, the hands must be neutral again.
     let moves = |v: &Value| is(v, "arm") && v["moves"] == true;
     let mut has_moved = None;
     for _ in 0..10 {
@@ -338,8 +339,8 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     bridge.catch_up();
     assert!(robot.seen.iter().filter(|(_, v)| is_piece(v)).count() > 20);
 
-    // The right hand begins the gesture that opens the clutch. The arm brakes at its first movement, before the
-    // gesture is recognised.
+    // The right hand begins the gesture that opens the clutch.
+    // The arm brakes when this hand begins to move, before the gesture is recognised.
     let (lateness, place) = (Lateness::watch(), bridge.seen.len());
     right.jump(TO_FRO_S);
     let halts = |v: &Value| is(v, "halt") && v["reason"] == "not-at-rest";
@@ -359,7 +360,7 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let there = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
     assert!(there.zip(HOME).any(|(there, home)| (there - home).abs() > 0.02), "{}", robot.seen[rests].1);
 
-    // The base stands still, even after the gesture gave the hand back: the hand has not been neutral since.
+    // The base does not move after the gesture, because the left hand has not been neutral since then.
     if is_full() {
         bridge.wait_from(halt, "the clutch is open", lends(false));
     }
@@ -858,7 +859,12 @@ fn doctor_tries_and_names_what_is_wrong() {
         wrong("quality of service", &[&["--robot", "--action", "--demanding"]], "", &["transient local"]),
         wrong("namespace", &[ROBOT], "namespace = '/cell2'\n", &["but on /cmd_vel", "namespace"]),
         wrong("domain", &[], "", &["nobody else is in this domain"]),
-        wrong("clock ahead", &[&["--robot", "--action", "--clock-offset", "2"]], "", &["2.00 s ahead of"]),
+        wrong(
+            "clock ahead",
+            &[&["--robot", "--action", "--clock-offset", "2"]],
+            "",
+            &["2.00 s ahead of|1.99 s ahead of"],
+        ),
         wrong(
             "clock behind",
             &[&["--robot", "--action", "--clock-offset", "-2"]],
@@ -869,7 +875,7 @@ fn doctor_tries_and_names_what_is_wrong() {
             "late joint states",
             &[&["--robot", "--action", "--states-late", "30"]],
             "",
-            &["30.0", "behind"],
+            &["30.0|29.9", "behind"],
         ),
         wrong(
             "simulated time",
@@ -944,8 +950,10 @@ fn doctor_tries_and_names_what_is_wrong() {
                         text.lines().filter(|l| l.contains('→')).collect::<String>()
                     );
                     assert!(!well && !text.contains("all is well"), "{}: {text}", setup.what);
+                    // A measured difference may be some milliseconds short, so it has two texts.
                     for word in setup.words {
-                        assert!(text.contains(word), "{}: {word} in\n{text}", setup.what);
+                        let found = word.split('|').any(|word| text.contains(word));
+                        assert!(found, "{}: {word} in\n{text}", setup.what);
                     }
                 });
             }
@@ -1187,7 +1195,7 @@ pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
 pub(super) const GRIP_MAPS: [&str; 6] =
     ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
 
-/// Maximum time from a gesture's event to the goal at the gripper.
+/// Maximum time between a gesture's event and the arrival of the goal at the gripper.
 const GRIP_MS: f64 = 200.0;
 
 /// The gripper closes on the object, opens, and is halted while it closes again.
@@ -1270,7 +1278,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     assert!(!done && said.contains("'nowhere'"), "{said}");
 }
 
-/// Runs `teach` with these arguments, and returns whether it succeeded and what it said.
+/// Runs `teach` with these arguments, and returns whether it succeeded and what it printed.
 fn teach(arguments: &[&str]) -> (bool, String) {
     let mut command = Command::new(crate::host_bridge());
     command.arg("teach").args(arguments).env_remove("ROS_DOMAIN_ID");
@@ -1280,7 +1288,7 @@ fn teach(arguments: &[&str]) -> (bool, String) {
     (output.status.success(), both.join(""))
 }
 
-/// The angles at which the robot's arm rests.
+/// Returns the joint angles in the last report in which the robot's arm did not move.
 fn rests_at(robot: &mut Teller) -> Vec<f64> {
     robot.catch_up();
     let rest = robot.seen.iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
@@ -1327,7 +1335,7 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
         ("thing /cup_pose arm_base_link 0.6 0 -0.3 0.05", "no joint angles were found"),
     ] {
         robot.order(order);
-        // What was sent before has come.
+        // This pause gives the earlier messages time to arrive.
         desk.pass(Duration::from_millis(300));
         let (done, said) = play();
         assert!(!done && said.contains(told), "{said}");
@@ -1335,21 +1343,24 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
     assert_eq!(rests_at(&mut robot), before, "nothing has moved");
 }
 
-/// A joint of a description: name, type, `xyz` and `rpy` of its origin, axis.
-type UrdfJoint = (&'static str, &'static str, [f64; 3], [f64; 3], &'static str);
+/// A joint of a description: name, `xyz` and `rpy` of its origin, axis.
+#[cfg(feature = "urdf")]
+type UrdfJoint = (&'static str, [f64; 3], [f64; 3], &'static str);
 
-/// An arm of nobody's make with the measures, joints and controller of a UR5e.
-const UR5E: &[UrdfJoint] = &[
-    ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
-    ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
-    ("elbow_joint", "revolute", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
-    ("wrist_1_joint", "revolute", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
-    ("wrist_2_joint", "revolute", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
-    ("wrist_3_joint", "revolute", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
+/// An invented arm that has the dimensions, joints and controller of a UR5e.
+#[cfg(feature = "urdf")]
+const UR5E: [UrdfJoint; 6] = [
+    ("shoulder_pan_joint", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
+    ("shoulder_lift_joint", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("elbow_joint", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
+    ("wrist_1_joint", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("wrist_2_joint", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
+    ("wrist_3_joint", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
 ];
 
-/// The description of such an arm, from `base_link` to `tool0`.
-fn urdf(joints: &[UrdfJoint]) -> String {
+/// Returns the URDF description of the UR5e, from `base_link` to `tool0`.
+#[cfg(feature = "urdf")]
+fn ur5e_urdf() -> String {
     let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
     let link = |name: &str| {
         format!(
@@ -1358,15 +1369,14 @@ fn urdf(joints: &[UrdfJoint]) -> String {
     };
     let mut text = format!("<?xml version='1.0'?><robot name='arm'>\n{}", link("base_link"));
     let mut parent = "base_link".to_owned();
-    for (i, (name, kind, at_m, turn, axis)) in joints.iter().enumerate() {
+    for (i, (name, at_m, turn, axis)) in UR5E.into_iter().enumerate() {
         let child = format!("link_{}", i + 1);
-        let (low, high, speed) = if *kind == "prismatic" { (0.0, 0.8, 0.3) } else { (-3.1, 3.1, 3.0) };
         text += &link(&child);
         text += &format!(
-            "<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
-             rpy='{}'/><axis xyz='{axis}'/><limit lower='{low}' upper='{high}' effort='9' velocity='{speed}'/></joint>\n",
-            numbers(*at_m),
-            numbers(*turn)
+            "<joint name='{name}' type='revolute'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
+             rpy='{}'/><axis xyz='{axis}'/><limit lower='-3.1' upper='3.1' effort='9' velocity='3'/></joint>\n",
+            numbers(at_m),
+            numbers(turn)
         );
         parent = child;
     }
@@ -1383,56 +1393,43 @@ fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
     else {
         return;
     };
-    let ur5e = include_str!("../../robots/ur5e.toml");
-    let arms = [(
-        "ur5e",
-        UR5E,
-        "scaled_joint_trajectory_controller",
-        vec![0.3, -1.4, 1.5, -1.6, -1.5, 0.2],
-        Some(ur5e),
-    )];
-    for (name, joints, controller, start, profile) in arms {
-        let desk = desk(&format!("ros2-{name}"));
-        let domain = domain();
-        let description = desk.path("published.urdf");
-        std::fs::write(&description, urdf(joints)).unwrap();
-        let names: Vec<&str> = joints.iter().map(|joint| joint.0).collect();
-        let begin: Vec<String> = start.iter().map(f64::to_string).collect();
-        let begin = format!("--start={}", begin.join(","));
-        let (names, description) = (names.join(","), description.to_str().unwrap().to_owned());
-        let options = ["--robot", "--action", "--odom", "--pace", "1", "--joints", &names, &begin];
-        let more = ["--arm-controller", controller, "--description", &description];
-        let mut robot = peer(&desk, &site.python, domain, &[&options[..], &more[..]].concat());
-        robot.has("ready", |v| is(v, "ready"));
+    let desk = desk("ros2-ur5e");
+    let domain = domain();
+    let description = desk.path("published.urdf");
+    std::fs::write(&description, ur5e_urdf()).unwrap();
+    let names = UR5E.map(|joint| joint.0).join(",");
+    let start = [0.3, -1.4, 1.5, -1.6, -1.5, 0.2];
+    let begin = format!("--start={}", start.map(|value: f64| value.to_string()).join(","));
+    let options = ["--robot", "--action", "--odom", "--pace", "1", "--joints", &names, &begin];
+    let controller = "scaled_joint_trajectory_controller";
+    let more = ["--arm-controller", controller, "--description", description.to_str().unwrap()];
+    let mut robot = peer(&desk, &site.python, domain, &[&options[..], &more[..]].concat());
+    robot.has("ready", |v| is(v, "ready"));
 
-        let (config, scene) = (desk.path("graph.toml"), desk.path(&format!("{name}.toml")));
-        std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n"))
-            .unwrap();
-        if let Some(profile) = profile {
-            std::fs::write(&scene, profile).unwrap();
-        }
-        let mut command = Command::new(crate::host_bridge());
-        command.arg("arm").arg(&scene).arg("--config").arg(&config).env_remove("ROS_DOMAIN_ID");
-        let output = command.output().unwrap();
-        assert!(output.status.success(), "{name}: {}", String::from_utf8_lossy(&output.stderr));
+    let (config, scene) = (desk.path("graph.toml"), desk.path("ur5e.toml"));
+    std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n")).unwrap();
+    std::fs::write(&scene, include_str!("../../robots/ur5e.toml")).unwrap();
+    let mut command = Command::new(crate::host_bridge());
+    command.arg("arm").arg(&scene).arg("--config").arg(&config).env_remove("ROS_DOMAIN_ID");
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 
-        let files = ["--scene", scene.to_str().unwrap(), "--config", config.to_str().unwrap()];
-        let (done, said) = teach(&[&["here"], &files[..]].concat());
-        assert!(done, "{name}: {said}");
-        // Another pose, as somebody types it, and then back to what was taught.
-        let up: Vec<f64> = start.iter().map(|value| value + 0.05).collect();
-        let taught = std::fs::read_to_string(&scene).unwrap();
-        let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
-        let lines = lines.count();
-        println!("{name}: {lines} lines of TOML with the pose");
-        assert!(lines <= 20, "{taught}");
-        std::fs::write(&scene, format!("{taught}\n[[pose]]\nname = \"up\"\njoints_rad = {up:?}\n")).unwrap();
-        for (pose, there) in [("up", &up), ("here", &start)] {
-            let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
-            assert!(done && said.contains("reached"), "{name} {pose}: {said}");
-            let off = rests_at(&mut robot).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-            println!("{name}: '{pose}' reached, {off:.4} rad or m off");
-            assert!(off < 0.01);
-        }
+    let files = ["--scene", scene.to_str().unwrap(), "--config", config.to_str().unwrap()];
+    let (done, said) = teach(&[&["here"], &files[..]].concat());
+    assert!(done, "{said}");
+    // The arm moves to a pose that was typed by hand, and then back to the taught pose.
+    let up = start.map(|value| value + 0.05);
+    let taught = std::fs::read_to_string(&scene).unwrap();
+    let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let lines = lines.count();
+    println!("ur5e: {lines} lines of TOML with the pose");
+    assert!(lines <= 20, "{taught}");
+    std::fs::write(&scene, format!("{taught}\n[[pose]]\nname = \"up\"\njoints_rad = {up:?}\n")).unwrap();
+    for (pose, there) in [("up", &up), ("here", &start)] {
+        let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
+        assert!(done && said.contains("reached"), "{pose}: {said}");
+        let off = rests_at(&mut robot).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        println!("ur5e: '{pose}' reached, {off:.4} rad or m off");
+        assert!(off < 0.01);
     }
 }

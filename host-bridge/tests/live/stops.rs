@@ -1,4 +1,4 @@
-//! Tests that stops work on the real program while other parts fail.
+//! Tests that stop commands still work in the real program while other parts fail.
 //! Each test is one row of the campaign (`cargo xtask campaign`).
 //!
 //! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
@@ -366,7 +366,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();
     let (mut worst, mut memory_mb) = (0, 0);
-    // The test has two cases: the page was connected before, or it connects afterwards.
+    // The test has two cases: the page connects before the thousand connections, or after them.
     for comes_late in [false, true] {
         let talker = Talker::start(folder.path());
         let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);

@@ -347,7 +347,7 @@ impl Sums {
     }
 }
 
-/// After `answer_ms` the bridge has given up a goal without a reply, and requests its cancellation.
+/// If a goal has no reply after `answer_ms`, the bridge abandons the goal and requests its cancellation.
 const GOAL_BOUND_MS: f64 = 1000.0;
 
 #[test]

@@ -96,7 +96,7 @@ impl Double {
         self.0.with(|machine| machine.hand.hold(counts));
     }
 
-    /// The right hand continues its recording from here.
+    /// Makes the right hand continue its recording from this time.
     pub fn jump(&self, to_s: f64) {
         self.0.with(|machine| machine.hand.jump(to_s, machine.now_ms - machine.started_ms));
     }

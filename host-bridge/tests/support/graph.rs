@@ -344,7 +344,7 @@ pub struct Site {
 
 /// Returns the environment for the test with this name (in a module `live::ros2`).
 /// If permitted, the test restarts itself in a new network namespace.
-/// Returns `None` if the test has passed there, or cannot run at all.
+/// Returns `None` if the test has already passed in that namespace, or cannot run at all.
 /// Tests that measure times run one after another in a namespace. On loopback, all tests do so.
 pub fn site(test: &str, measures: bool) -> Option<Site> {
     site_in("ros2", test, measures)

@@ -7,8 +7,9 @@ use clap::{Args, Subcommand};
 use models::daily::{Daily, vectors};
 use models::dataset::{Dataset, Item};
 use models::evaluate::events::{AnnotatedRecording, Heard, Tally, decide, listen};
+use models::evaluate::people::Trial;
 use models::streams::RandomStream;
-use models::train::{Aligned, Job, Trained, adapt, examples_of, train};
+use models::train::{Aligned, Trained, adapt, examples_of, train};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use shared_dsp::right::movement::MovementConfig;
@@ -34,6 +35,7 @@ enum Verb {
         out: PathBuf,
     },
     Events(Events),
+    Simulated(super::daily_simulated::Cmd),
 }
 
 /// Count events in daily movement: train with half of its people, test with the other half, and vice versa
@@ -73,6 +75,7 @@ impl Cmd {
                 Ok(())
             }
             Verb::Events(events) => events.run(),
+            Verb::Simulated(simulated) => simulated.run(),
         }
     }
 }
@@ -209,14 +212,7 @@ impl Events {
         let judges: Vec<String> = people.iter().skip(half).step_by(2).cloned().collect();
         let taught = if self.untaught { Daily::None } else { Daily::Without(judges.clone()) };
         let recipe = Aligned { daily: taught.clone(), ..recipe.clone() };
-        let job = Job {
-            name: "trial".to_owned(),
-            about: String::new(),
-            seed,
-            excluded: Vec::new(),
-            progress: false,
-        };
-        let model = train(learned, &[], &recipe, &job)?;
+        let model = train(learned, &[], &recipe, &Trial::job(seed))?;
         let axes = model.card.axes_needed();
         let settings = self.settings(axes);
         let judge = |model: &Trained| -> anyhow::Result<Vec<Tally>> {
@@ -291,7 +287,7 @@ fn three_of_each<'a>(
 }
 
 /// Returns the 95 % confidence interval of the mean of a count (Byar's approximation for Poisson).
-fn interval(count: usize) -> (f64, f64) {
+pub(super) fn interval(count: usize) -> (f64, f64) {
     let bound = |n: f64, z: f64| {
         if n == 0.0 { 0.0 } else { n * (1.0 - 1.0 / (9.0 * n) + z / (3.0 * n.sqrt())).powi(3) }
     };

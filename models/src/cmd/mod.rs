@@ -3,6 +3,7 @@
 pub mod adapt;
 pub mod card;
 pub mod daily;
+pub mod daily_simulated;
 pub mod eval;
 pub mod events;
 pub mod import;

@@ -1,5 +1,6 @@
 //! `models sizes`: measures how much accuracy a smaller network loses.
 
+use std::str::FromStr;
 use std::time::Instant;
 
 use clap::Args;
@@ -24,10 +25,31 @@ pub struct Cmd {
     /// How many networks of 20 and 10 units are merged into one (a board's: 4)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,2,3,4")]
     members: Vec<usize>,
+    /// Also smaller networks that learn the probabilities of the merged one: hidden widths, such as 40-20
+    #[arg(long, value_delimiter = ',', value_name = "N-N,...")]
+    students: Vec<Student>,
     #[command(flatten)]
     axes: super::Axes,
     #[command(flatten)]
     short: super::Short,
+}
+
+/// Hidden widths of a network that learns from a larger one.
+#[derive(Clone, Copy, Debug)]
+struct Student([usize; 2]);
+
+impl FromStr for Student {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let widths: Option<Vec<usize>> = text.split('-').map(|width| width.parse().ok()).collect();
+        match widths.as_deref() {
+            Some([first, second]) if (1..=128).contains(first) && (1..=128).contains(second) => {
+                Ok(Self([*first, *second]))
+            }
+            _ => Err(format!("{text:?}: two widths from 1 to 128 are needed, such as 40-20")),
+        }
+    }
 }
 
 /// Number of weights of an int8 network that are 0, which still need flash and multiplications.
@@ -50,35 +72,42 @@ impl Cmd {
             let (people, what) = set.people(axes)?;
             println!("{what}, {} seeds, int8", self.seeds);
             println!(
-                "{:<18} {:>8} {:>8} {:>10} {:>12} {:>9} {:>9} {:>7}",
+                "{:<22} {:>8} {:>8} {:>10} {:>12} {:>9} {:>9} {:>7}",
                 "network", "blob, B", "zeros, B", "products", "recordings", "worst", "events", "false"
             );
-            for &members in &self.members {
-                let usual = self.short.aligned();
-                let recipe = Aligned { steps: Steps { members, ..usual.steps }, ..usual };
+            let usual = self.short.aligned();
+            let merged = self.members.iter().map(|&members| {
+                let recipe = Aligned { steps: Steps { members, ..usual.steps }, ..usual.clone() };
+                ("", recipe)
+            });
+            let students = self
+                .students
+                .iter()
+                .map(|student| (" student", Aligned { student: Some(student.0), ..usual.clone() }));
+            for (kind, recipe) in merged.chain(students) {
                 let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
-                let (mut each, mut all) = (Vec::new(), Tally::default());
-                let (mut size, mut zeros) = (NetworkSize::default(), 0);
-                for person in &people {
-                    let one = |seed: u64| -> anyhow::Result<_> {
-                        let model = trial.without(person, seed)?;
-                        let events = trial.events_of(&model, person, Pause::USUAL, seed)?;
-                        let graded = trial.grade_of(&model, person)?;
-                        Ok((graded, events, NetworkSize::of(&model)?, zeros_of(&model.int8_tflite)?))
-                    };
-                    let runs = (1..=self.seeds)
-                        .into_par_iter()
-                        .map(one)
-                        .collect::<anyhow::Result<Vec<(Graded, Tally, NetworkSize, usize)>>>()?;
-                    each.push(Graded::mean(runs.iter().map(|run| &run.0)).int8);
-                    for (_, tally, of_model, none) in runs {
-                        all.add(&tally);
-                        (size, zeros) = (of_model, none);
-                    }
-                }
-                let (name, bytes, products) = (size.shape(), size.blob_bytes, size.products());
+                let one = |(person, seed): (&String, u64)| -> anyhow::Result<_> {
+                    let model = trial.without(person, seed)?;
+                    let events = trial.events_of(&model, person, Pause::USUAL, seed)?;
+                    let graded = trial.grade_of(&model, person)?;
+                    Ok((graded, events, NetworkSize::of(&model)?, zeros_of(&model.int8_tflite)?))
+                };
+                let jobs: Vec<(&String, u64)> = people
+                    .iter()
+                    .flat_map(|person| (1..=self.seeds).map(move |seed| (person, seed)))
+                    .collect();
+                let runs = jobs.into_par_iter().map(one).collect::<anyhow::Result<Vec<_>>>()?;
+                // The jobs of one person are in sequence.
+                let each: Vec<f64> = runs
+                    .chunks(self.seeds as usize)
+                    .map(|runs| Graded::mean(runs.iter().map(|run| &run.0)).int8)
+                    .collect();
+                let mut all = Tally::default();
+                runs.iter().for_each(|run| all.add(&run.1));
+                let Some((_, _, size, zeros)) = runs.last() else { continue };
+                let (name, bytes, products) = (size.shape() + kind, size.blob_bytes, size.products());
                 println!(
-                    "{name:<18} {bytes:>8} {zeros:>8} {products:>10} {:>12.2} {:>9.2} {:>9.2} {:>7}",
+                    "{name:<22} {bytes:>8} {zeros:>8} {products:>10} {:>12.2} {:>9.2} {:>9.2} {:>7}",
                     each.iter().sum::<f64>() / each.len().max(1) as f64,
                     each.iter().copied().fold(f64::INFINITY, f64::min),
                     all.right_per_cent(),

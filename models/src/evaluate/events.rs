@@ -108,12 +108,16 @@ impl AnnotatedRecording {
 
     /// Generates a simulated wearer who makes no gesture and is never used for training.
     pub fn aimless(seed: u64, index: u32, seconds: f64) -> Self {
+        Self::moving(&IdleKind::EVERY, seed, index, seconds)
+    }
+
+    /// Generates a simulated wearer whose movements are of these kinds, which must not be empty.
+    pub fn moving(kinds: &[IdleKind], seed: u64, index: u32, seconds: f64) -> Self {
         let wearer = Wearer::evaluation(seed, index);
         let mut rng = RandomStream::Aimless(index).of(seed);
         let mut script = Vec::new();
         let mut left_s = seconds;
         while left_s > 0.0 {
-            let kinds = IdleKind::EVERY;
             let kind = kinds[rng.random_range(0..kinds.len())];
             let length_s = rng.random_range(5.0..20.0);
             script.push(Segment::new(Motion::Idle(kind), length_s));

@@ -4,6 +4,7 @@ pub mod events;
 #[cfg(feature = "train")]
 pub mod people;
 pub mod score;
+pub mod spectrum;
 #[cfg(feature = "train")]
 pub mod study;
 #[cfg(feature = "train")]

@@ -126,7 +126,8 @@ pub struct Shown {
 }
 
 impl Trial<'_> {
-    fn job(seed: u64) -> Job {
+    /// Returns the settings for the training of a model that is only tested.
+    pub fn job(seed: u64) -> Job {
         Job { name: "trial".to_owned(), about: String::new(), seed, excluded: Vec::new(), progress: false }
     }
 

@@ -174,7 +174,7 @@ pub struct Events {
 
 impl Events {
     /// Plays every person's recordings with models that were trained without this person.
-    /// The models have the seeds 1 to `seeds`.
+    /// It trains these models once for each random seed from 1 to `seeds`.
     /// The models of the first seed also share `aimless_s` seconds of simulated wearers.
     pub fn run(
         trial: &Trial<'_>,

@@ -12,7 +12,7 @@ use crate::evaluate::study::{Events, Study};
 use crate::train::{TrainError, Trained};
 
 /// Size of a network on a board.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkSize {
     /// Number of inputs, followed by the number of outputs of each layer.
     pub widths: Vec<usize>,

@@ -11,7 +11,9 @@
 //! Results of the simulation are therefore not valid for real hands.
 //! Every place that shows such a result must state this.
 
+mod everyday;
 mod path;
+mod pose;
 mod sensor;
 mod wearer;
 

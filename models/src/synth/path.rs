@@ -11,6 +11,8 @@ use std::ops::Range;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
+use super::everyday::{Lift, Move, Stroll, cup, keys, sit_and_stand};
+use super::pose::{BodyPose, rotation};
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 
@@ -55,6 +57,18 @@ pub enum IdleKind {
     Scatter,
     /// Bursts of to-and-fro movement faster than any gesture, such as shaking a bottle, brushing, scratching or hammering.
     Shake,
+    /// Walking with arms that swing.
+    Stroll,
+    /// Standing up from a chair and sitting down again.
+    SitAndStand,
+    /// Reaching for a cup, drinking and putting it back.
+    Cup,
+    /// Typing on a keyboard.
+    Type,
+    /// Gesticulating while talking.
+    Talk,
+    /// Riding a lift.
+    Lift,
 }
 
 impl IdleKind {
@@ -63,6 +77,9 @@ impl IdleKind {
     /// All kinds of movement of a wearer who makes no gestures.
     pub const EVERY: [Self; 7] =
         [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter, Self::Shake];
+    /// Everyday movement. Models do not learn it, and the demonstration does not contain it.
+    pub const EVERYDAY: [Self; 6] =
+        [Self::Stroll, Self::SitAndStand, Self::Cup, Self::Type, Self::Talk, Self::Lift];
 }
 
 impl Motion {
@@ -110,13 +127,6 @@ impl Segment {
     }
 }
 
-/// Position (m) and posture (roll, pitch, yaw in rad) at one time.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct BodyPose {
-    pub position_m: [f64; 3],
-    pub posture_rad: [f64; 3],
-}
-
 /// Returns the complete path in steps of [`STEP_S`], with one additional point at each end for the derivatives.
 pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -> Vec<BodyPose> {
     let mut parts = Vec::with_capacity(script.len());
@@ -157,6 +167,7 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
             for axis in 0..3 {
                 pose.posture_rad[axis] += rest[axis] + turn[axis] + sway[axis].at(t) + shake[axis].at(t);
                 pose.position_m[axis] += heave[axis].at(t) + 0.03 * shake[axis].at(t + 0.03);
+                pose.position_m[axis] += pose.carried_m[axis];
             }
             pose
         })
@@ -164,22 +175,22 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
 }
 
 /// A smooth random function of time, which is the sum of several sines with random frequencies and phases.
-struct Smooth([(f64, f64, f64); 5]);
+pub(super) struct Smooth([(f64, f64, f64); 5]);
 
 impl Smooth {
     /// The frequencies are between `low_hz` and `high_hz`, and the function has a standard deviation of `rms`.
-    fn new(rng: &mut ChaCha8Rng, low_hz: f64, high_hz: f64, rms: f64) -> Self {
+    pub(super) fn new(rng: &mut ChaCha8Rng, low_hz: f64, high_hz: f64, rms: f64) -> Self {
         let size = rms * (2.0f64 / 5.0).sqrt();
         Self([0; 5].map(|_| (rng.random_range(low_hz..high_hz), rng.random_range(0.0..TAU), size)))
     }
 
-    fn at(&self, t: f64) -> f64 {
+    pub(super) fn at(&self, t: f64) -> f64 {
         self.0.iter().map(|(hz, phase, size)| size * (TAU * hz * t + phase).sin()).sum()
     }
 }
 
 /// A transition from 0 to 1 whose speed and acceleration are zero at both ends.
-fn minimum_jerk(part: f64) -> f64 {
+pub(super) fn minimum_jerk(part: f64) -> f64 {
     let p = part.clamp(0.0, 1.0);
     p * p * p * (10.0 + p * (6.0 * p - 15.0))
 }
@@ -192,7 +203,7 @@ struct Player {
 }
 
 #[expect(clippy::large_enum_variant, reason = "a handful per recording")]
-enum Kind {
+pub(super) enum Kind {
     Rest,
     Periodic(Box<Periodic>),
     /// Restless position and posture.
@@ -201,7 +212,7 @@ enum Kind {
         posture: [Smooth; 3],
     },
     /// Single moves, each with time, duration and displacement.
-    Moves(Vec<(f64, f64, BodyPose)>),
+    Moves(Vec<Move>),
     Walk {
         step_hz: f64,
         phase: f64,
@@ -219,9 +230,11 @@ enum Kind {
         position: [(f64, f64); 3],
         posture: [(f64, f64); 3],
     },
+    Stroll(Stroll),
+    Lift(Lift),
 }
 
-struct Periodic {
+pub(super) struct Periodic {
     shape: Shape,
     hz: f64,
     start: f64,
@@ -280,10 +293,7 @@ impl Player {
             Kind::Moves(moves) => {
                 for (start_s, length_s, by) in moves {
                     let part = minimum_jerk((t - start_s) / length_s);
-                    for axis in 0..3 {
-                        pose.position_m[axis] += part * by.position_m[axis];
-                        pose.posture_rad[axis] += part * by.posture_rad[axis];
-                    }
+                    *pose = pose.plus(by.times(part));
                 }
             }
             Kind::Walk { step_hz, phase, bob_m, sway_m, nod_rad, wander } => {
@@ -294,6 +304,8 @@ impl Player {
                 pose.posture_rad[1] += size * nod_rad * (step + 0.5).sin();
                 pose.posture_rad[0] += size * nod_rad * (step / 2.0 + 0.7).sin();
             }
+            Kind::Stroll(stroll) => stroll.add(t, size, pose),
+            Kind::Lift(lift) => lift.add(t, pose),
             Kind::Shake { hz, hurry, bursts, position, posture } => {
                 let angle = TAU * hz * t + hurry.at(t);
                 let size = size * minimum_jerk(0.5 + bursts.at(t));
@@ -310,6 +322,15 @@ impl Player {
 fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
     match kind {
         IdleKind::Still => Kind::Rest,
+        IdleKind::Stroll => Kind::Stroll(Stroll::new(rng)),
+        IdleKind::SitAndStand => Kind::Moves(sit_and_stand(rng, seconds)),
+        IdleKind::Cup => Kind::Moves(cup(rng, seconds)),
+        IdleKind::Type => keys(rng),
+        IdleKind::Talk => {
+            let (reach_m, turn_rad) = (rng.random_range(0.03..0.15), rng.random_range(0.15..0.6));
+            moves(rng, seconds, reach_m, turn_rad, 0.3..0.8, 0.0..1.4)
+        }
+        IdleKind::Lift => Kind::Lift(Lift::new(rng, seconds)),
         IdleKind::Fidget => {
             let size_m = rng.random_range(0.004..0.02);
             let turn_rad = rng.random_range(0.03..0.25);
@@ -373,6 +394,7 @@ fn moves(
         let mut place = BodyPose {
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
+            ..BodyPose::default()
         };
         // The last move returns before the next motion starts, and a short pause follows this move.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
@@ -380,10 +402,7 @@ fn moves(
             place = BodyPose::default();
             t = t.min(seconds - PAUSE_S - length_s).max(0.0);
         }
-        let by = BodyPose {
-            position_m: std::array::from_fn(|a| place.position_m[a] - now.position_m[a]),
-            posture_rad: std::array::from_fn(|a| place.posture_rad[a] - now.posture_rad[a]),
-        };
+        let by = place.plus(now.times(-1.0));
         list.push((t, length_s, by));
         if last {
             return Kind::Moves(list);
@@ -468,18 +487,6 @@ fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
         2 => (-part, 1.0),
         _ => (-1.0, -part),
     }
-}
-
-/// Returns the rotation matrix (by rows) of roll about x, then pitch about y, then yaw about z.
-pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
-    let (sr, cr) = roll.sin_cos();
-    let (sp, cp) = pitch.sin_cos();
-    let (sy, cy) = yaw.sin_cos();
-    [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
 }
 
 #[cfg(test)]

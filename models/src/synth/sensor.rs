@@ -4,7 +4,8 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::path::{BodyPose, OVERSAMPLING, STEP_S, rotation};
+use super::path::{OVERSAMPLING, STEP_S};
+use super::pose::{BodyPose, rotation};
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 use crate::recording::Recording;

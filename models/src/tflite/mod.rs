@@ -6,7 +6,7 @@
 //! Weights are symmetric, biases are int32, and the softmax output has scale 1/256 and zero point −128.
 //! At the ends, QUANTIZE and DEQUANTIZE are supported, with inputs and outputs of int8, uint8 or float32.
 //! RESHAPE is supported between layers and before them.
-//! If a network ends in logits, our own softmax follows ([`End`]).
+//! If a network outputs logits, the program applies its own softmax to them ([`End`]).
 //! Int8 networks give exactly the results of TFLite's reference kernels.
 //! Any other network is refused, and the error names the reason.
 //! The reader is our own. A damaged file causes an error, but never a panic or high memory use.

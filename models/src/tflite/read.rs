@@ -69,7 +69,8 @@ impl Tensor<'_> {
         names::tensor_type(self.kind)
     }
 
-    /// Returns the numbers of rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes per element.
+    /// Returns the numbers of rows and columns of a constant matrix. Both are in 1..=[`MAX_WIDTH`].
+    /// Each element has `size` bytes.
     fn matrix(&self, size: usize) -> Result<(usize, usize), TfliteError> {
         let &[rows, columns] = self.shape.as_slice() else {
             return unsupported(format!("weights of shape {:?}", self.shape));
@@ -82,7 +83,7 @@ impl Tensor<'_> {
     }
 
     /// Returns the number of values of one example.
-    /// This number is the product of the shape's dimensions, except for open dimensions.
+    /// This number is the product of the shape's dimensions. Unknown dimensions count as 1.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }

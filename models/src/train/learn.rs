@@ -235,7 +235,7 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
 }
 
 /// Returns the SHA-256 over names and contents of the recordings in order.
-/// A recording without a file counts as its CSV text.
+/// For a recording without a file, the hash uses the recording as CSV text.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {

@@ -10,7 +10,7 @@ use crate::tflite::FloatLayer;
 /// Maximum number of inputs that determine the ranges of activations.
 const CALIBRATION: usize = 4000;
 
-/// Quantises a network whose inputs are limited to ±`limit` to int8.
+/// Quantises a network to int8. The network's inputs must be between -`limit` and `limit`.
 pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> Vec<DenseSpec> {
     let (mut input_scale, mut input_zero_point) = scale_of(-limit, limit);
     let mut specs = Vec::new();

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::fit::{Rounding, Steps, equalise, label_weights};
 use super::net::{Layers, export, forward, forward_rounded, on_one_thread, vars};
 use crate::streams::RandomStream;
-use crate::tflite::FloatLayer;
+use crate::tflite::{FloatLayer, infer_float};
 
 /// The start of a network.
 pub(super) enum Start<'a> {
@@ -26,7 +26,7 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Trains a network on labelled inputs.
+/// Trains networks on labelled inputs, and merges them into one network.
 /// Rare labels count as much as common labels, and `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
@@ -36,20 +36,79 @@ pub(super) fn fit(
     limit: f32,
     seed: u64,
 ) -> Result<Vec<FloatLayer>> {
+    let wanted = Wanted::labels(rows, labels, plan);
     let member = |index: usize| {
-        on_one_thread(|| one(rows, labels, start, plan, None, RandomStream::Member(index).of(seed)))
+        on_one_thread(|| one(rows, &wanted, start, plan, None, RandomStream::Member(index).of(seed)))
     };
     let members: Vec<_> = (0..plan.members.max(1)).into_par_iter().map(member).collect::<Result<_>>()?;
-    let mut layers = merged(&members);
+    finished(merged(&members), rows, &wanted, plan, limit, seed)
+}
+
+/// Trains a network of these hidden widths to give the probabilities of a trained network, the teacher.
+/// The teacher's probabilities say more than a label does: which other gestures a window resembles, and how much.
+pub(super) fn distil(
+    rows: &[(Vec<f32>, usize)],
+    labels: usize,
+    teacher: &[FloatLayer],
+    hidden: &[usize],
+    plan: &Steps,
+    limit: f32,
+    seed: u64,
+) -> Result<Vec<FloatLayer>> {
+    let wanted = Wanted::probabilities(rows, labels, teacher);
+    // The members of the teacher have used the streams of lower numbers.
+    let rng = RandomStream::Member(plan.members.max(1)).of(seed);
+    let student = on_one_thread(|| one(rows, &wanted, &Start::Widths(hidden), plan, None, rng))?;
+    finished(student, rows, &wanted, plan, limit, seed)
+}
+
+/// Prepares a trained network for int8: equal maxima per unit, and the steps that simulate rounding.
+fn finished(
+    mut layers: Vec<FloatLayer>,
+    rows: &[(Vec<f32>, usize)],
+    wanted: &Wanted,
+    plan: &Steps,
+    limit: f32,
+    seed: u64,
+) -> Result<Vec<FloatLayer>> {
     equalise(&mut layers);
     if plan.rounded > 0 {
         let rounding = Rounding::new(&layers, rows, limit);
         let (start, plan) = (Start::Layers(&layers), plan.last());
         layers = on_one_thread(|| {
-            one(rows, labels, &start, &plan, Some(&rounding), RandomStream::Rounding.of(seed))
+            one(rows, wanted, &start, &plan, Some(&rounding), RandomStream::Rounding.of(seed))
         })?;
     }
     Ok(layers)
+}
+
+/// The outputs that a network should learn.
+/// For each row, `values` holds one probability per label, multiplied by the weight of the row's label.
+struct Wanted {
+    labels: usize,
+    values: Vec<f32>,
+}
+
+impl Wanted {
+    /// The labels of the rows, smoothed.
+    fn labels(rows: &[(Vec<f32>, usize)], labels: usize, plan: &Steps) -> Self {
+        let weights = label_weights(rows, labels);
+        let of = |(_, label): &(Vec<f32>, usize)| {
+            let (label, weight) = (*label, weights[*label]);
+            (0..labels).map(move |n| weight * plan.target(n == label, labels))
+        };
+        Self { labels, values: rows.iter().flat_map(of).collect() }
+    }
+
+    /// The probabilities that a trained network gives to the rows.
+    fn probabilities(rows: &[(Vec<f32>, usize)], labels: usize, teacher: &[FloatLayer]) -> Self {
+        let weights = label_weights(rows, labels);
+        let of = |(input, label): &(Vec<f32>, usize)| {
+            let weight = weights[*label];
+            infer_float(teacher, input).into_iter().map(move |probability| weight * probability)
+        };
+        Self { labels, values: rows.iter().flat_map(of).collect() }
+    }
 }
 
 /// Returns one network whose logits are the mean of the logits of several networks.
@@ -95,31 +154,23 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     (0..=last).map(layer).collect()
 }
 
-/// Trains one network; with `rounding`, it simulates int8.
+/// Trains one network to give the wanted outputs; with `rounding`, it simulates int8.
 fn one(
     rows: &[(Vec<f32>, usize)],
-    labels: usize,
+    wanted: &Wanted,
     start: &Start<'_>,
     plan: &Steps,
     rounding: Option<&Rounding>,
     mut rng: ChaCha8Rng,
 ) -> Result<Vec<FloatLayer>> {
     let width = rows.first().map_or(0, |(input, _)| input.len());
-    let layers = first_layers(start, width, labels, &mut rng)?;
+    let layers = first_layers(start, width, wanted.labels, &mut rng)?;
     let vars = vars(&layers);
     let mut average: Vec<Tensor> = vars.iter().map(|var| var.as_tensor().copy()).collect::<Result<_>>()?;
 
-    let weights = label_weights(rows, labels);
     let inputs: Vec<f32> = rows.iter().flat_map(|(input, _)| input.iter().copied()).collect();
-    let targets: Vec<f32> = rows
-        .iter()
-        .flat_map(|(_, label)| {
-            let weight = weights[*label];
-            (0..labels).map(move |n| weight * plan.target(n == *label, labels))
-        })
-        .collect();
     let inputs = Tensor::from_vec(inputs, (rows.len(), width), &Device::Cpu)?;
-    let targets = Tensor::from_vec(targets, (rows.len(), labels), &Device::Cpu)?;
+    let targets = Tensor::from_slice(&wanted.values, (rows.len(), wanted.labels), &Device::Cpu)?;
 
     let params = ParamsAdamW { lr: plan.learning_rate, weight_decay: 0.0, ..Default::default() };
     let mut optimizer = AdamW::new(vars.clone(), params)?;

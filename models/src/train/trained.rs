@@ -50,7 +50,8 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// A trained network with its files, whose checksums are in its card. `calibration` determines the int8 scales.
+    /// Creates the files of a trained network, and puts their checksums into the card.
+    /// The inputs in `calibration` determine the int8 scales.
     pub(super) fn of(
         mut card: Card,
         float: Vec<FloatLayer>,

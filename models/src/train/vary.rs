@@ -3,7 +3,7 @@
 //! The order of the variations is: tempo, phase and evenness; size (fast movements need more force);
 //! rotation; mirroring; tremor; offset and range of the accelerometer.
 //! If a movement is accelerated, it is extended periodically.
-//! Idle windows are never enlarged much, so that slow and small gestures remain gestures.
+//! Idle windows are enlarged only slightly, because a larger idle movement could resemble a small, slow gesture.
 //! In half of the copies, the movement begins or ends inside the window, and the hand rests before or after it.
 
 use std::f64::consts::{PI, TAU};

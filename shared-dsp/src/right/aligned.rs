@@ -14,7 +14,7 @@
 //! For each triad, e are the mean squares along each axis about its mean, and E is their sum.
 //! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the amount of movement below which differences are insignificant.
 //! X stands for lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform.
-//! The transform is computed from the 25 hops with a Hann window.
+//! The transform covers 25 hops, which are weighted with a Hann window.
 //! S is the power of these lines, Σ|X|².
 //!
 //! | features | count |

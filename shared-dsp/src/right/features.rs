@@ -68,7 +68,7 @@ struct Axis {
     powers: SlidingPowers<FRAMES>,
 }
 
-/// The place where a hop's samples are stored.
+/// The positions in the ring buffers where the samples of one hop are stored.
 struct HopBlocks {
     axis: usize,
     block: RingPlace<HOPS>,

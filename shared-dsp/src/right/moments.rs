@@ -111,7 +111,8 @@ impl Sums {
         }
     }
 
-    /// When a piece has [`CENTRED`] blocks, its mean becomes its reference, so that later cancellation is small.
+    /// When a piece has [`CENTRED`] blocks, the mean of the piece becomes the value that is subtracted from later samples.
+    /// This keeps cancellation small.
     #[inline(always)]
     fn centred(self, blocks: usize) -> Self {
         if blocks == CENTRED {

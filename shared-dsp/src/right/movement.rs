@@ -74,8 +74,8 @@ impl MovementConfig {
             min_moving: if has_gyro { 8 } else { 22 },
             decide_hops: 22,
             average_hops: if has_gyro { 4 } else { 8 },
-            // The README of `models` lists the false events that these values cause;
-            // `models events --max-rest` measures them.
+            // The README of `models` lists the false events that these values cause.
+            // `models events --max-rest` measures the number of false events.
             min_confidence: 128,
             max_rest: if has_gyro { 64 } else { 26 },
             late_hops: if has_gyro { 30 } else { 60 },

@@ -74,7 +74,7 @@ mod tests {
     use super::*;
     use std::vec::Vec;
 
-    /// Generates a sway of this frequency in Hz, on a board that lies flat.
+    /// Generates the samples of a board that lies flat and sways at `hz` hertz.
     fn sway(hz: f32, samples: usize) -> Vec<[f32; 3]> {
         let angle = |n: usize| core::f32::consts::TAU * hz * n as f32 / 100.0;
         (0..samples).map(|n| [3.0 * angle(n).sin(), angle(2 * n).cos(), 9.8]).collect()

@@ -18,11 +18,11 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
     loop {}
 }
 
-/// Computes forever.
+/// Repeats the computation forever.
 #[unsafe(no_mangle)]
 extern "C" fn main() -> ! {
     loop {
-        // SAFETY: nothing else uses these variables, as there is neither a thread nor an interrupt.
+        // SAFETY: no other code uses these variables, because there are no threads and no interrupts.
         let (acceleration, number) =
             unsafe { (read_volatile(&raw const ACCELERATION), read_volatile(&raw const NUMBER)) };
         let (tilt, number) = compute(acceleration, number);

@@ -39,7 +39,7 @@ pub fn smooth(x: f64) -> f64 {
 pub struct Sensors {
     /// Sensitivity of x, y and z, as a multiple of the nominal volts per g.
     pub sensitivity: [f64; 3],
-    /// Offset from half the supply in mV, x y z.
+    /// Offsets of x, y and z from half the supply voltage, in mV.
     pub offset_mv: [f64; 3],
     /// Noise of the accelerometer in mV (standard deviation at 50 Hz bandwidth).
     pub noise_mv: f64,

@@ -70,7 +70,7 @@ struct World {
     blocks: Vec<u16>,
     /// The function at this address, which the core itself executes this time.
     passes: Option<u32>,
-    /// Addresses with the numbers of their probes.
+    /// Addresses of instructions that the test counts, each with the index of its counter.
     /// There should be few addresses, because every block searches the whole list.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
@@ -223,7 +223,7 @@ impl Board {
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
         uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
         // The firmware writes the two model slots itself, so they are registers from the core's point of view.
-        // Neither does a program run from where a new image waits.
+        // The firmware also writes the memory of a new image itself, and no program runs from there.
         let images = uc.get_data().soc.images.clone();
         let flash = uc.get_data().soc.flash.clone();
         let images_end = if images.is_empty() { 0 } else { images.end };

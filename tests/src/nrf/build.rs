@@ -1,6 +1,6 @@
 //! Builds the firmware images for the tests, once per test run.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock};
 
 use super::image::Image;
@@ -14,9 +14,9 @@ pub enum Variant {
     Ble,
     /// The same as `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
-    /// The image behind the stock bootloader and its second stage, with Bluetooth linked in.
+    /// The image with Bluetooth linked in. It is stored after the stock bootloader and the second stage.
     Trouble,
-    /// The second stage of that image.
+    /// The second stage of the `trouble` image.
     Stage,
     /// A left hand's image for a XIAO nRF52840 Sense, with Bluetooth linked in.
     XiaoLeft,
@@ -32,33 +32,26 @@ pub enum Variant {
 /// # Panics
 /// Panics if the image does not build. The terminal shows the reason.
 pub fn image(variant: Variant) -> Image {
-    Image::load(path(variant))
+    Image::load(&path(variant))
 }
 
-fn path(variant: Variant) -> &'static Path {
+fn path(variant: Variant) -> PathBuf {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
+    static XIAO: OnceLock<PathBuf> = OnceLock::new();
     static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
-    static STAGE: OnceLock<PathBuf> = OnceLock::new();
-    static XIAO_STAGE: OnceLock<PathBuf> = OnceLock::new();
-    static LEFT: OnceLock<PathBuf> = OnceLock::new();
-    let (cell, given) = match variant {
-        Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
-        Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
-        Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
-        Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
-        Variant::XiaoLeft => (&LEFT, "BIMANUAL_XIAO_LEFT_ELF"),
+    static XIAO_LEFT: OnceLock<PathBuf> = OnceLock::new();
+    let (cell, given, name) = match variant {
+        Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF", "bootloader"),
+        Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF", "ble"),
+        Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF", "xiao"),
+        Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF", "trouble"),
+        Variant::XiaoLeft => (&XIAO_LEFT, "BIMANUAL_XIAO_LEFT_ELF", "xiao-left"),
         // A second stage is built together with its image.
-        Variant::Stage => return STAGE.get_or_init(|| second_stage(Variant::Trouble)),
-        Variant::XiaoStage => return XIAO_STAGE.get_or_init(|| second_stage(Variant::XiaoLeft)),
+        Variant::Stage => return path(Variant::Trouble).with_file_name("nano33-trouble-stage"),
+        Variant::XiaoStage => return path(Variant::XiaoLeft).with_file_name("nano33-xiao-left-stage"),
     };
-    cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from))
-}
-
-fn second_stage(variant: Variant) -> PathBuf {
-    let mut name = path(variant).file_name().unwrap_or_default().to_owned();
-    name.push("-stage");
-    path(variant).with_file_name(name)
+    cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(name), PathBuf::from)).clone()
 }
 
 /// Returns the XIAO's image in the format of its bootloader.
@@ -66,24 +59,13 @@ fn second_stage(variant: Variant) -> PathBuf {
 /// # Panics
 /// Panics if the file does not exist.
 pub fn uf2() -> Vec<u8> {
-    image(Variant::Xiao);
-    let elf = XIAO.get().expect("asked for above");
-    let file = elf.with_extension("uf2");
+    let file = path(Variant::Xiao).with_extension("uf2");
     std::fs::read(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))
 }
 
-static XIAO: OnceLock<PathBuf> = OnceLock::new();
-
-fn build(variant: Variant) -> PathBuf {
+fn build(name: &str) -> PathBuf {
     // All variants use the same file name during the build, so they are built one after another.
     static ONE: Mutex<()> = Mutex::new(());
     let _one = ONE.lock();
-    let name = match variant {
-        Variant::Bootloader => "bootloader",
-        Variant::Ble => "ble",
-        Variant::Xiao => "xiao",
-        Variant::Trouble | Variant::Stage => "trouble",
-        Variant::XiaoLeft | Variant::XiaoStage => "xiao-left",
-    };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

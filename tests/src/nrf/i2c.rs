@@ -45,7 +45,7 @@ pub struct Bus {
     pub sensor: Box<dyn Sensor>,
     /// Whether the sensor and the pull-ups have power.
     pub powered: bool,
-    /// This many of the next transfers will not be acknowledged.
+    /// Number of the next transfers that will not be acknowledged.
     pub nacks: u32,
     /// Number of clock pulses until a device releases SDA.
     pub stuck_clocks: u32,
@@ -62,7 +62,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// Returns a bus with a sensor, without power.
+    /// Returns a bus with a sensor that has no power.
     pub fn new(sensor: Box<dyn Sensor>) -> Self {
         Self {
             sensor,

@@ -22,7 +22,7 @@ pub struct Image {
     pub flash_bytes: u32,
     /// Size in bytes of the statics in RAM.
     pub ram_bytes: u32,
-    /// Address of the second stage, if there is one.
+    /// Address of the second stage, if the image has one.
     pub second_stage: Option<u32>,
 }
 
@@ -66,21 +66,22 @@ impl Image {
         image
     }
 
-    /// Puts the image behind its second stage, which the bootloader starts, and which has this public key or none.
+    /// Combines the image with its second stage, which contains `key` if there is one.
+    /// The bootloader then starts the second stage.
     ///
     /// # Panics
-    /// Panics if the image is not linked for the place behind the second stage.
+    /// Panics if the image is not linked for the address after the second stage.
     #[must_use]
-    pub fn behind(mut self, stage: Self, key: Option<[u8; 32]>) -> Self {
+    pub fn behind(mut self, stage: Self, key: Option<[u8; update::KEY_BYTES]>) -> Self {
         let base = stage.vector_table;
         assert_eq!(self.vector_table, base + update::SLOT_A, "the image is linked for slot A");
         self.pieces.extend(stage.pieces);
-        self.pieces.extend(key.map(|key| (base + update::STAGE_BYTES - 32, key.to_vec())));
+        self.pieces.extend(key.map(|key| (base + update::KEY_AT, key.to_vec())));
         (self.vector_table, self.second_stage) = (base, Some(base));
         self
     }
 
-    /// Returns the bytes from the vector table on, as a file for flashing contains them.
+    /// Returns all bytes from the vector table to the end, as in a file for flashing.
     pub fn binary(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for (address, piece) in &self.pieces {

@@ -14,7 +14,7 @@ pub struct Rtc {
     prescaler: u64,
     cc: [u32; 4],
     running: bool,
-    /// Tick of the 32,768 Hz clock at which the counter was 0 (minus complete turns).
+    /// Tick of the 32,768 Hz clock at which the counter was 0. Overflows of the counter do not change it.
     zero_tick: u64,
     stopped_at: u64,
     /// Counter values up to this value have already been compared.

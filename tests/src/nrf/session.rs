@@ -42,9 +42,9 @@ pub struct Right {
 pub struct Heard {
     /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
-    /// The kind of board from the newest hello message.
+    /// The kind of board in the newest hello message.
     pub kind: Option<BoardKind>,
-    /// Versions of the firmware from hello messages.
+    /// The firmware versions in the hello messages that were received.
     pub versions: Vec<String>,
     /// States of the hand.
     pub states: Vec<Right>,
@@ -81,7 +81,7 @@ pub struct RightRig {
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// The Bluetooth of the laptop, if it uses Bluetooth. Another laptop is then connected at D0.
     pub ble: Option<BleHost>,
-    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0, too.
+    /// Bumble's Bluetooth, if the laptop uses bumble. Another laptop is then connected at D0 as well.
     pub air: Option<AirHost>,
     /// Messages that the other laptop, at D0, received.
     pub uart: Listener,
@@ -128,20 +128,20 @@ impl RightRig {
         session
     }
 
-    /// Starts the image that contains Nordic's controller, behind the board's own bootloader.
+    /// Starts the image that contains Nordic's controller. The board's own bootloader starts first.
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
         Self::air_of(image(Variant::Trouble), kind, motion)
     }
 
-    /// Starts such a session with a left hand, whose second stage starts the image.
+    /// Starts a session over Bluetooth with a left hand, whose second stage starts the image.
     /// [`set_flex`](super::left_hand::set_flex) sets its flex sensors.
     pub fn left_air(motion: Box<dyn Motion>) -> Self {
         let image = image(Variant::XiaoLeft).behind(image(Variant::XiaoStage), None);
         Self::air_of(image, Kind::Xiao, motion)
     }
 
-    /// Starts such a session with this image.
+    /// Starts a session over Bluetooth with this image.
     pub fn air_of(image: Image, kind: Kind, motion: Box<dyn Motion>) -> Self {
         let controller = Controller::new(&image.symbols, Air::start(), 0);
         let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);

@@ -90,7 +90,7 @@ pub struct Soc {
     pub watchdog: Watchdog,
     /// The flash controller.
     pub nvmc: Nvmc,
-    /// Addresses of a new image and the journal of the second stage, which the firmware writes itself.
+    /// Addresses of the new image and of the journal. The firmware itself writes to them.
     pub images: std::ops::Range<u32>,
     ppi: Ppi,
     /// The USB device controller.

@@ -189,7 +189,7 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    /// Returns whether the time is over.
+    /// Returns whether the watchdog's time has expired.
     pub fn bites(&self, now: u64) -> bool {
         self.due().is_some_and(|d| d <= now)
     }

@@ -1,7 +1,8 @@
 //! Reads the points of meshes from COLLADA files (`.dae`, feature `urdf`).
 //!
-//! The file's unit and the frames of its nodes count.
-//! Its up axis does not: RViz and MoveIt place the coordinates of a robot's mesh as they are, and robots are described for them.
+//! The reader applies the file's unit and the transforms of its nodes.
+//! Like RViz and MoveIt, the reader ignores the file's up axis.
+//! Authors test their robot descriptions with these programs.
 
 use std::collections::HashMap;
 
@@ -9,12 +10,12 @@ use host_robot::shape::Point;
 use host_robot::{DMat3, DVec3};
 use roxmltree::{Document, Node};
 
-/// Frames within frames beyond this number are refused.
+/// Maximum nesting depth of the nodes.
 const DEPTH_MAX: usize = 100;
-/// A mesh may stand in a scene several times, but not arbitrarily often.
+/// Maximum number of meshes in a scene. A scene may use the same mesh more than once.
 const INSTANCES_MAX: usize = 10_000;
 
-/// A frame that may also stretch.
+/// An affine transform: rotation, scale and translation.
 #[derive(Clone, Copy)]
 struct Frame {
     turn: DMat3,
@@ -27,10 +28,10 @@ impl Frame {
     }
 }
 
-/// Returns the corners of all meshes in the file's scene, in m.
+/// Returns the vertices of all meshes in the file's scene, in m.
 ///
 /// # Errors
-/// The problem with the file, as a text for users.
+/// Returns a message for the user that describes the problem with the file.
 pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
     let text = std::str::from_utf8(bytes).map_err(|_| "it is no text in UTF-8".to_owned())?;
     let document = Document::parse(text).map_err(|error| format!("it is no XML: {error}"))?;
@@ -54,9 +55,7 @@ pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
     let named = child(root, "scene").and_then(|scene| child(scene, "instance_visual_scene"));
     let scene = match named.and_then(|instance| instance.attribute("url")) {
         Some(url) => find(url, "scene")?,
-        None => {
-            root.descendants().find(|node| node.has_tag_name_of("visual_scene")).ok_or("it has no scene")?
-        }
+        None => root.descendants().find(|node| node.has_tag_name("visual_scene")).ok_or("it has no scene")?,
     };
     let mut points = Vec::new();
     let mut instances = 0;
@@ -92,19 +91,8 @@ pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
     Ok(points)
 }
 
-/// A comparison of names that leaves their namespace out.
-trait Named {
-    fn has_tag_name_of(&self, name: &str) -> bool;
-}
-
-impl Named for Node<'_, '_> {
-    fn has_tag_name_of(&self, name: &str) -> bool {
-        self.is_element() && self.tag_name().name() == name
-    }
-}
-
 fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
-    node.children().find(|child| child.has_tag_name_of(name))
+    node.children().find(|child| child.has_tag_name(name))
 }
 
 fn numbers(node: Node<'_, '_>) -> Result<Vec<f64>, String> {
@@ -126,7 +114,7 @@ fn frame(node: Node<'_, '_>) -> Result<Frame, String> {
             let axis = DVec3::new(x, y, z).try_normalize().ok_or("<rotate> has no axis")?;
             Ok(Frame { turn: DMat3::from_axis_angle(axis, degrees.to_radians()), ..plain })
         }
-        // Row by row; the last row is always 0 0 0 1.
+        // The matrix is stored row by row. The last row is always 0 0 0 1.
         ("matrix", &[a, b, c, x, d, e, f, y, g, h, i, z, ..]) if values.len() == 16 => Ok(Frame {
             turn: DMat3::from_cols(DVec3::new(a, d, g), DVec3::new(b, e, h), DVec3::new(c, f, i)),
             at: DVec3::new(x, y, z),
@@ -135,7 +123,7 @@ fn frame(node: Node<'_, '_>) -> Result<Frame, String> {
     }
 }
 
-/// Returns the corners of one geometry: its source of positions.
+/// Returns the vertices of one geometry.
 fn positions<'a, 'input>(
     geometry: Node<'a, 'input>,
     find: &impl Fn(&str, &str) -> Result<Node<'a, 'input>, String>,
@@ -143,7 +131,7 @@ fn positions<'a, 'input>(
     let vertices = child(geometry, "mesh").and_then(|mesh| child(mesh, "vertices"));
     let inputs = vertices.into_iter().flat_map(|vertices| vertices.children());
     let position = inputs
-        .filter(|input| input.has_tag_name_of("input"))
+        .filter(|input| input.has_tag_name("input"))
         .find(|input| input.attribute("semantic") == Some("POSITION"));
     let url = position.and_then(|input| input.attribute("source")).ok_or("a geometry of it is no mesh")?;
     let source = find(url, "source")?;
@@ -199,7 +187,7 @@ mod tests {
         let inches = "<unit name=\"inch\" meter=\"0.0254\"/>";
         let scaled = read(inches, &format!("<node>{HERE}</node>")).unwrap();
         assert!(is(&scaled, &[[0.0254, 0.0, 0.0], [0.0, 0.0508, 0.0]]), "{scaled:?}");
-        // Frames count in their order: first along, then turned, and what is within a frame is in its own.
+        // Transforms apply in the order of the file, and a nested node is relative to its parent.
         let within = format!(
             "<node><translate>1 0 0</translate><rotate>0 0 1 90</rotate><node><matrix>1 0 0 0 0 1 0 0 0 0 1 5 0 0 0 1</matrix>\
              <scale>2 2 2</scale>{HERE}</node></node><node>{HERE}</node>"
@@ -226,7 +214,7 @@ mod tests {
         assert!(points(cut.as_bytes(), 100).unwrap_err().contains("are not"));
         assert!(points(b"<COLLADA>", 100).unwrap_err().contains("no XML"));
         assert!(points(&[0xff, 0xfe], 100).unwrap_err().contains("UTF-8"));
-        // No file of ours has a document type, by which a small file could grow without end.
+        // Entities in a document type could expand a small file without limit, so a document type is refused.
         assert!(points(b"<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", 100).is_err());
     }
 }

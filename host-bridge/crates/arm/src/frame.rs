@@ -1,20 +1,20 @@
-//! Frames of a motion's steps: a step goes to a thing instead of a fixed place.
+//! Frames of a motion's steps: with a frame, a step goes to an object instead of a fixed place.
 //!
 //! ```toml
-//! # Above an object of the scene, wherever it stands now:
+//! # Above an object of the scene, at the object's current position:
 //! { position_m = [0, 0, 0.25], quaternion_wxyz = [0, 1, 0, 0], frame = "cup" }
-//! # Above a thing whose pose somebody publishes (geometry_msgs/PoseStamped):
+//! # Above an object whose pose is published on a topic (geometry_msgs/PoseStamped):
 //! { position_m = [0, 0, 0.25], quaternion_wxyz = [0, 1, 0, 0], frame = "/cup_pose", age_max_s = 0.5 }
 //! ```
 //!
-//! Position and orientation are then those of the tool's point in the thing's own frame. An object's frame is the middle of
-//! its underside, turned as the object is.
+//! Position and orientation of the tool's point are then relative to the object's own frame.
+//! The origin of a scene object's frame is the middle of its underside, and the frame turns with the object.
 
 use crate::motions::{MotionError, Motions, Step};
 
-/// The largest age of a pose on a topic, if the step names none.
+/// Default value for the maximum age of a pose on a topic.
 const AGE_MAX_S: f64 = 0.5;
-/// The range of this largest age. A longer memory would be a fixed place.
+/// Permitted range of the maximum age. With an even older pose, the object would be a fixed place.
 const AGES_S: std::ops::RangeInclusive<f64> = 0.05..=10.0;
 
 /// The frame of a step.
@@ -24,15 +24,15 @@ pub enum Frame {
     Object(String),
     /// A `geometry_msgs/PoseStamped` on a topic.
     Topic {
-        /// Its full name.
+        /// The full name of the topic.
         name: String,
-        /// The pose may be this old when the motion begins.
+        /// Maximum age of the pose when the motion begins.
         age_max_ms: u64,
     },
 }
 
 impl Frame {
-    /// Reads the frame of a step. A name that begins with a slash is a topic.
+    /// Reads the frame of a step. A name with a slash at the start is a topic.
     pub(crate) fn read(name: &str, age_max_s: Option<f64>) -> Result<Self, String> {
         let Some(own) = name.strip_prefix('/') else {
             return match age_max_s {
@@ -40,9 +40,11 @@ impl Frame {
                 None => Ok(Frame::Object(name.to_owned())),
             };
         };
+        // The rules of ROS 2, which the node applies to all names.
         let is_word = |word: &str| {
             word.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
                 && word.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+                && !word.contains("__")
         };
         if !own.split('/').all(is_word) {
             return Err(format!("frame = \"{name}\" is no topic; topics are like \"/cup_pose\""));
@@ -59,15 +61,25 @@ impl Frame {
     }
 }
 
+impl Step {
+    /// Returns the frame of this step, if it has one.
+    pub(crate) fn frame(&self) -> Option<&Frame> {
+        match self {
+            Step::Tool { frame, .. } => frame.as_ref(),
+            _ => None,
+        }
+    }
+}
+
 impl Motions {
-    /// Checks that each step's object is one of these.
+    /// Checks that every object to which a step refers is in this list.
     ///
     /// # Errors
-    /// [`MotionError::Step`] names the object.
+    /// Fails with [`MotionError::Step`], which contains the name of the missing object.
     pub fn check_objects(&self, objects: &[&str]) -> Result<(), MotionError> {
         for motion in self.all() {
             for (i, step) in motion.steps.iter().enumerate() {
-                if let Step::Tool { frame: Some(Frame::Object(name)), .. } = step
+                if let Some(Frame::Object(name)) = step.frame()
                     && !objects.contains(&name.as_str())
                 {
                     let known = if objects.is_empty() { "none".to_owned() } else { objects.join(", ") };
@@ -82,12 +94,12 @@ impl Motions {
         Ok(())
     }
 
-    /// Returns the topics from which steps take their places, each of them once.
+    /// Returns the topics on which steps depend, without duplicates.
     pub fn topics(&self) -> Vec<String> {
         let steps = self.all().iter().flat_map(|motion| &motion.steps);
         let mut topics: Vec<String> = steps
-            .filter_map(|step| match step {
-                Step::Tool { frame: Some(Frame::Topic { name, .. }), .. } => Some(name.clone()),
+            .filter_map(|step| match step.frame() {
+                Some(Frame::Topic { name, .. }) => Some(name.clone()),
                 _ => None,
             })
             .collect();

@@ -14,7 +14,7 @@ use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints, Motion};
 use crate::ik::{columns, damped};
 use crate::model::SerialArm;
 
-/// Damping, in m and in rad: far below the values of an arm in a usual pose, and far above rounding errors.
+/// Damping in m and in rad. It is far below the values of an arm in a normal pose, and far above rounding errors.
 const DAMPING: f64 = 0.03;
 /// Rate at which a drifted orientation is corrected, in 1/s.
 const BACK_PER_S: f64 = 1.0;
@@ -115,7 +115,7 @@ pub fn acceleration(from: &Motion, speeds_rad_s: &Joints, for_s: f64, limits: &J
     if !limits.jerk_rad_s3.iter().all(|jerk| jerk.is_finite()) {
         return wanted;
     }
-    // The acceleration must be small enough to return to zero by the time the speed is reached.
+    // The acceleration must be small enough that it can return to zero before the joint reaches its target speed.
     let back: Joints = std::array::from_fn(|i| 0.7 * (2.0 * limits.jerk_rad_s3[i] * change[i].abs()).sqrt());
     let wanted = wanted.map(|a| a * share(&wanted, &back));
     let step: Joints = std::array::from_fn(|i| wanted[i] - from.acceleration_rad_s2[i]);

@@ -147,8 +147,9 @@ impl SerialArm {
         self.name == GEN3
     }
 
-    /// Returns whether two links (the foot is 0) are tubes of one telescope: all joints between them slide along one line.
-    /// Such tubes lie within each other by design, and the joints' limits keep them apart.
+    /// Returns whether two links are tubes of the same telescope. The foot is link 0.
+    /// In a telescope, all joints between the two links slide along the same line.
+    /// Such tubes are inside each other by design, and the joint limits prevent collisions between them.
     pub fn is_telescope(&self, one: usize, two: usize) -> bool {
         let Some(between) = self.joints.get(one..two) else { return false };
         let mut turn = DMat3::IDENTITY;
@@ -195,7 +196,7 @@ impl SerialArm {
         unwound
     }
 
-    /// Where the flange is.
+    /// Returns the flange's pose at these joint angles.
     pub fn flange_pose(&self, joints_rad: &Joints) -> Pose {
         self.link_poses(joints_rad)[JOINTS]
     }

@@ -83,7 +83,7 @@ pub struct StepTable {
     /// The maximum force of the gripper.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
-    /// The place is seen from this object of the scene, or from the thing whose pose this topic has; see [`crate::frame`].
+    /// The name of a scene object or of a topic with a pose. The place is relative to it; see [`crate::frame`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<String>,
     /// Maximum age of the pose on a topic when the motion begins.
@@ -215,11 +215,11 @@ pub enum Step {
     To(Joints),
     /// The next of these poses each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
-    /// A position of the tool's point, relative to the point on the floor between the wheels, or to a thing.
+    /// A position of the tool's point, relative to an object or to the point on the floor between the wheels.
     Tool {
         /// Place and orientation.
         pose: Pose,
-        /// The thing, if there is one.
+        /// The object to which the position is relative, if there is one.
         frame: Option<Frame>,
         /// In a straight line.
         straight: bool,
@@ -464,7 +464,7 @@ impl Motions {
         Ok(Step::Move { way_m, own, turn, straight: table.straight.unwrap_or(true) })
     }
 
-    /// Returns the motions without the poses.
+    /// Returns the list of motions, which does not include the poses.
     pub(crate) fn all(&self) -> &[Motion] {
         &self.motions
     }

@@ -3,37 +3,37 @@
 use host_robot::shape::{Capsule, Point, UprightBox};
 use host_robot::{DVec3, Pose};
 
-/// Maximum number of steps in the search for a plane between two bodies.
+/// Maximum number of steps in the search for a plane that separates two bodies.
 const STEPS: usize = 40;
-/// The search ends when the plane is this close to the best possible one, in m.
+/// The search ends when the proven distance is within this distance (in m) of the best possible result.
 const GOOD_M: f64 = 1e-4;
-/// A simpler body may be larger than the given one by this much.
+/// A simplified body may be larger than the original by this distance in m.
 const SPARE_M: f64 = 0.0005;
 
 /// The convex hull of some points, enlarged by a radius.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solid {
-    /// The points.
+    /// The points whose hull is the core of the body.
     pub points_m: Vec<Point>,
     /// The radius by which the hull of the points is enlarged.
     pub radius_m: f64,
 }
 
-/// What is known of the distance between two hulls of points.
+/// Bounds of the distance between the hulls of two point sets.
 struct Gap {
-    /// A plane proves that they are at least this far apart; 0 or less if no plane was found.
+    /// A separating plane proves that the hulls are at least this far apart. It is 0 or less without such a plane.
     proven_m: f64,
-    /// Two of their points are this far apart.
+    /// The hulls contain two points that are this far apart.
     most_m: f64,
 }
 
 impl Solid {
-    /// A capsule is one.
+    /// Converts a capsule to a solid.
     pub fn of(capsule: &Capsule) -> Self {
         Solid { points_m: vec![capsule.a_m, capsule.b_m], radius_m: capsule.radius_m }
     }
 
-    /// An upright box is one.
+    /// Converts an upright box to a solid.
     pub fn of_box(upright: &UprightBox) -> Self {
         let (s, c) = upright.yaw_rad.sin_cos();
         let sign = |k: usize, bit: usize| if k >> bit & 1 == 1 { 1.0 } else { -1.0 };
@@ -44,10 +44,11 @@ impl Solid {
         Solid { points_m: (0..8).map(corner).collect(), radius_m: 0.0 }
     }
 
-    /// A body of few points that encloses the hull of all given points, and is larger by at most 0.5 mm.
+    /// Creates a body with few points that encloses all given points. It exceeds their hull by at most 0.5 mm.
     ///
-    /// The point that is furthest from the hull of the chosen ones is chosen next.
-    /// A larger hull is nearer to every point, so a distance measured earlier is never too small, and most are not measured again.
+    /// In each step, it adds the point that is furthest from the hull of the chosen points.
+    /// As the hull grows, distances to the hull only shrink. An earlier distance is therefore an upper bound,
+    /// and most distances need not be measured again.
     pub fn around(points_m: &[Point]) -> Self {
         let Some(first) = points_m.first() else { return Solid { points_m: Vec::new(), radius_m: 0.0 } };
         let mut chosen = Solid { points_m: vec![*first], radius_m: 0.0 };
@@ -67,34 +68,32 @@ impl Solid {
         chosen
     }
 
-    /// Returns the same body in the coordinates outside its frame.
+    /// Converts the body from its own frame to the frame outside.
     #[must_use]
     pub fn seen_from(&self, frame: &Pose) -> Solid {
         Solid { points_m: self.points_m.iter().map(|point| frame.at(*point)).collect(), ..*self }
     }
 
-    /// Returns a lower bound of the distance between two bodies; a result of 0 or less proves nothing.
-    pub fn apart_m(&self, other: &Solid) -> f64 {
-        self.apart_at_m(&Pose::IDENTITY, other, &Pose::IDENTITY, f64::INFINITY)
-    }
-
-    /// Like [`Self::apart_m`], with each body in a frame of its own. A distance beyond `enough_m` is not looked at more closely.
+    /// Returns a lower bound of the distance between two bodies in their frames.
+    /// A result of 0 or less proves nothing.
+    /// The search ends early when it has proven a distance of `enough_m`.
     pub fn apart_at_m(&self, here: &Pose, other: &Solid, there: &Pose, enough_m: f64) -> f64 {
         let radii_m = self.radius_m + other.radius_m;
         gap(&self.points_m, here, &other.points_m, there, enough_m + radii_m).proven_m - radii_m
     }
 }
 
-/// The method is Gilbert's, Johnson's and Keerthi's (1988).
-/// It approaches the nearest points of two convex bodies. Each direction on the way may give a plane between them.
-/// The proven distance is that of the best plane, so rounding can make it too small, but not too large.
+/// Estimates the distance between two convex hulls by the method of Gilbert, Johnson and Keerthi (1988).
+/// The method approaches the nearest points of two convex bodies step by step.
+/// The direction of each step may give a plane that separates the bodies.
+/// The best plane gives the proven distance, so rounding can make this distance too small, but not too large.
 fn gap(one: &[Point], here: &Pose, two: &[Point], there: &Pose, enough_m: f64) -> Gap {
     let (Some(first), Some(second)) = (one.first(), two.first()) else {
         return Gap { proven_m: f64::INFINITY, most_m: f64::INFINITY };
     };
     let (into_one, into_two) = (here.rotation.transpose(), there.rotation.transpose());
     let mut way = here.at(*first) - there.at(*second);
-    // Differences of corners, one to four; the nearest point of their hull to the origin is `way`.
+    // One to four differences of corners. In their hull, `way` is the point that is nearest to the origin.
     let mut corners = [way; 4];
     let mut count = 1;
     let mut proven_m = f64::NEG_INFINITY;
@@ -108,7 +107,7 @@ fn gap(one: &[Point], here: &Pose, two: &[Point], there: &Pose, enough_m: f64) -
         }
         corners[count] = nearest;
         let (next, kept) = nearest_of(&corners[..=count]);
-        // Only rounding can lead away again.
+        // Every step leads nearer to the origin, except through rounding errors.
         if next.length_squared() >= way.length_squared() {
             break;
         }
@@ -116,7 +115,7 @@ fn gap(one: &[Point], here: &Pose, two: &[Point], there: &Pose, enough_m: f64) -
         let before = corners;
         let kept = (0..=count).filter(|i| kept >> i & 1 == 1);
         count = kept.enumerate().map(|(to, from)| corners[to] = before[from]).count();
-        // All four count only if the origin is between them: the bodies overlap.
+        // If all four corners are needed, the origin is inside their hull, so the bodies overlap.
         if count == corners.len() {
             break;
         }
@@ -124,8 +123,9 @@ fn gap(one: &[Point], here: &Pose, two: &[Point], there: &Pose, enough_m: f64) -
     Gap { proven_m, most_m: way.length() }
 }
 
-/// Returns the point nearest to the origin of the hull of up to four points, and the set of points (as bits) that it lies between.
-/// It is assumed that the last point is one of these.
+/// Finds the point that is nearest to the origin in the hull of up to four points.
+/// Also returns, as bits, the smallest set of given points whose hull contains the nearest point.
+/// This function assumes that the set includes the last given point.
 fn nearest_of(points: &[DVec3]) -> (DVec3, usize) {
     let last = points.len() - 1;
     let mut best = (points[last], 1 << last);
@@ -147,7 +147,7 @@ fn nearest_of(points: &[DVec3]) -> (DVec3, usize) {
     best
 }
 
-/// The foot of the perpendicular from the origin, if it is between the points.
+/// Returns the foot of the perpendicular from the origin to a line, if the foot is between the two points.
 fn on_line(a: DVec3, b: DVec3) -> Option<DVec3> {
     let way = b - a;
     let share = -a.dot(way) / way.length_squared();
@@ -163,7 +163,8 @@ fn on_triangle(a: DVec3, b: DVec3, c: DVec3) -> Option<DVec3> {
     (u > 0.0 && v > 0.0 && u + v < 1.0).then(|| a + u * ab + v * ac)
 }
 
-/// Whether the origin is within the tetrahedron: of each face, on the side of the opposite corner.
+/// Returns whether the origin is inside the tetrahedron.
+/// If so, the origin and the opposite corner are on the same side of each face.
 fn is_between(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> bool {
     let inside = |p: DVec3, q: DVec3, r: DVec3, opposite: DVec3| {
         let normal = (q - p).cross(r - p);
@@ -187,6 +188,13 @@ fn lowest(points: &[Point], direction: DVec3) -> Point {
 mod tests {
     use super::*;
     use host_robot::{DMat3, Random};
+
+    impl Solid {
+        /// Returns the proven distance between two bodies in the same frame.
+        fn apart_m(&self, other: &Solid) -> f64 {
+            self.apart_at_m(&Pose::IDENTITY, other, &Pose::IDENTITY, f64::INFINITY)
+        }
+    }
 
     #[test]
     fn what_is_proven_of_capsules_is_their_distance_and_never_more() {
@@ -226,7 +234,8 @@ mod tests {
         Pose { position_m: DVec3::new(number(), number(), number()) * 0.2, rotation }
     }
 
-    /// The nearest of many random points of two boxes is no nearer than what is proven, and what is proven is not far below.
+    /// The distance between two boxes, found by projections, is never below the proven distance,
+    /// and the proven distance is at most 0.5 mm below it.
     #[test]
     fn in_frames_of_their_own_no_two_points_are_nearer_than_is_proven() {
         let mut random = Random::new(4);
@@ -237,7 +246,7 @@ mod tests {
         for _ in 0..300 {
             let poses = [turned(&mut random), turned(&mut random)];
             let proven_m = solids[0].apart_at_m(&poses[0], &solids[1], &poses[1], f64::INFINITY);
-            // The nearest point of the other box by steps from one to the other and back: projections on convex bodies.
+            // Repeated projection from one box to the other, and back, converges to the nearest points of the two boxes.
             let clamp = |i: usize, point: DVec3| {
                 let local = poses[i].rotation.transpose() * (point - poses[i].position_m);
                 poses[i].at(local.clamp(-half_m[i], half_m[i]))

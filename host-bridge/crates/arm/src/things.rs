@@ -230,7 +230,7 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// Returns the permitted contacts: with the object and, for a held object, with its support.
+    /// Returns the permitted contacts with the object, and for a held object also the contacts with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);
@@ -331,7 +331,7 @@ pub fn in_scene(placement: Placement, mount_m: Point, on_arm: &Pose) -> Pose {
     base.then(mount_m, DMat3::IDENTITY).then(on_arm.position_m, on_arm.rotation)
 }
 
-/// Converts a pose from the scene's frame to that of the point on the floor between the wheels.
+/// Converts a pose from the scene's frame to the frame at the point on the floor between the wheels.
 pub fn on_base(placement: Placement, in_scene: &Pose) -> Pose {
     let turn = DMat3::from_rotation_z(-placement.heading_rad);
     let from_m = in_scene.position_m - DVec3::new(placement.x_m, placement.y_m, 0.0);

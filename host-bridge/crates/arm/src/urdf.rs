@@ -6,8 +6,8 @@
 //! Other meshes are reported ([`SerialArm::notes`]).
 //! For meshes that were not read, lines of a given radius lead to the next joints.
 //! If no joint follows, a ball replaces such a mesh.
-//! Moving links without shapes are treated alike; fixed links only add shapes.
-//! Links that move beside the chain are ignored, and this is reported.
+//! Moving links without shapes are treated in the same way. Fixed links only add shapes.
+//! Moving links outside the chain are ignored, and the program reports this.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;

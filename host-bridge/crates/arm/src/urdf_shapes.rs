@@ -1,4 +1,4 @@
-//! Shapes of the links in a URDF arm's chain, and of all links fixed beside it.
+//! Reads the shapes of the links in a URDF arm's chain, and of all links that are fixed to the chain.
 
 use crate::solid::Solid;
 use host_robot::shape::Capsule;
@@ -14,7 +14,7 @@ pub struct Shapes<'r> {
     seen: Vec<&'r str>,
     /// Links whose meshes were not read.
     meshes: Vec<&'r str>,
-    /// Joints beside the chain that can move independently.
+    /// Joints outside the chain that can move independently.
     moving: Vec<&'r str>,
 }
 
@@ -28,13 +28,13 @@ impl<'r> Shapes<'r> {
         self.robot.links.iter().find(|known| known.name == link).map_or(&[], |known| &known.collision)
     }
 
-    /// Returns whether the link has shapes of its own, all of which were read.
+    /// Returns whether the link has its own shapes and all these shapes were read.
     pub fn are_whole(&self, link: &str) -> bool {
         let own = self.collisions(link);
         !own.is_empty() && !own.iter().any(is_mesh)
     }
 
-    /// Returns the shapes of a chain's link at this frame, and of all links fixed to it beside the chain.
+    /// Returns the shapes of a link in the chain at this frame, and of all links that are fixed to this link.
     /// If the link `moves`, a line along the chain always replaces its meshes.
     pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> (Vec<Capsule>, Vec<Solid>) {
         let mut found = Found::default();
@@ -43,7 +43,7 @@ impl<'r> Shapes<'r> {
     }
 
     fn collect(&mut self, link: &'r str, here: &Pose, has_line: bool, found: &mut Found) {
-        // A file may join links in a circle.
+        // An invalid file may connect links in a loop.
         if self.seen.contains(&link) {
             return;
         }
@@ -111,10 +111,10 @@ fn is_mesh(collision: &Collision) -> bool {
     matches!(&collision.geometry, Geometry::Mesh { filename, .. } if hull_points(filename).is_none())
 }
 
-/// The corners of the hull, which replace the file name of a mesh.
+/// Corners of a mesh's hull. They replace the file name of the mesh.
 pub const HULL: &str = "hull:";
 
-/// Writes the corners of a hull in the form used in a URDF.
+/// Writes the corners of a hull as text, in the form that the URDF then contains.
 pub fn hull_name(points: &[DVec3]) -> String {
     let corners: Vec<String> = points.iter().map(|p| format!("{} {} {}", p.x, p.y, p.z)).collect();
     format!("{HULL}{}", corners.join(","))
@@ -130,7 +130,7 @@ pub fn hull_points(name: &str) -> Option<Vec<DVec3>> {
     name.strip_prefix(HULL)?.split(',').map(corner).collect()
 }
 
-/// Shapes of one link.
+/// The shapes of one link.
 #[derive(Default)]
 struct Found {
     capsules: Vec<Capsule>,

@@ -104,7 +104,7 @@ impl<'b, D: Door> Engine<'b, D> {
         Engine { vibrates, ..self }
     }
 
-    /// Makes gestures of these labels mark episodes.
+    /// Sets which gesture labels mark the episodes of a recording.
     #[must_use]
     pub fn with_marks(self, marks: impl IntoIterator<Item = (String, Mark)>) -> Self {
         Engine { marks: marks.into_iter().collect(), ..self }
@@ -209,7 +209,7 @@ impl<'b, D: Door> Engine<'b, D> {
         self.send(hand, message, now_ms);
     }
 
-    /// Processes the clutch's key, which lends the left hand to the arm or takes it back.
+    /// Processes the clutch's key, which switches the left hand from the base to the arm, or back.
     pub fn clutch_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Clutch));
         self.bridge.clutch_key(now_ms, &mut self.door);

@@ -61,7 +61,7 @@ impl FromStr for Mark {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MarkedBy {
-    /// With the right hand.
+    /// A gesture of the right hand set the mark.
     Gesture,
     /// On the terminal.
     Key,

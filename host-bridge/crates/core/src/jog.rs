@@ -1,4 +1,4 @@
-//! The clutch: a gesture or a key lends the left hand to the arm, and takes it back.
+//! The clutch: a gesture or a key switches the left hand from the base to the arm, and back.
 //!
 //! While the left hand is lent, the base stands still, and tilts move the tool horizontally.
 //! Bends of the fingers move the tool up and down.
@@ -18,7 +18,7 @@ use crate::tilt::{Pointing, TiltDrive};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JogRules {
-    /// A gesture with this label lends the left hand to the arm, and takes it back.
+    /// A gesture with this label switches the left hand from the base to the arm, and back.
     /// An empty label disables this function.
     pub label: String,
     /// This key has the same effect as the label; an empty key disables it.

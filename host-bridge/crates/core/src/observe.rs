@@ -137,7 +137,7 @@ pub enum OperatorKey {
     Show,
     /// That is over.
     Shown,
-    /// The operator lends the left hand to the arm, or returns it to the base.
+    /// The operator switches the left hand to the arm, or back to the base.
     Clutch,
 }
 

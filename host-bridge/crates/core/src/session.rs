@@ -88,7 +88,7 @@ impl<'b, D: Door> Session<'b, D> {
     pub fn finished(&self) -> bool {
         self.ended_ms.is_some_and(|ended_ms| {
             let passed_ms = self.now_ms - ended_ms;
-            // The robot counts as at rest only after the dead-man's 250 ms.
+            // The robot is considered at rest only after the dead-man's timeout of 250 ms.
             passed_ms >= TAIL_MS || (passed_ms > 500 && self.at_rest())
         })
     }
@@ -242,7 +242,7 @@ pub struct GestureRecord {
 pub struct PoseRecord {
     /// When.
     pub time_ms: u64,
-    /// By which motion.
+    /// The name of the motion.
     pub motion: MotionName,
 }
 
@@ -258,9 +258,9 @@ pub struct HaltRecord {
 /// Link counters of both hands; `null` for a hand that does not take part.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Frames {
-    /// Of the left hand.
+    /// The counters of the left hand.
     pub left: Option<LinkCounters>,
-    /// Of the right hand.
+    /// The counters of the right hand.
     pub right: Option<LinkCounters>,
 }
 

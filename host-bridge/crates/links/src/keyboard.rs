@@ -39,7 +39,7 @@ const HOP_SAMPLES: u32 = 8;
 
 /// Minimum time between steps, because a held key repeats up to thirty times per second.
 const STEP_INTERVAL_MS: u64 = 200;
-/// A bend is valid once it has lasted for 120 ms. The next bend is valid only after the finger was straight.
+/// A bend is valid once it has lasted for 120 ms. The next bend is valid only once the finger has been straight.
 const BENT_MS: u64 = 140;
 /// Maximum number of steps that wait for the current one.
 const STEPS_WAITING: usize = 2;
@@ -114,7 +114,7 @@ impl KeyLeft {
         }
     }
 
-    /// Returns the converter readings of a hand that follows the keys.
+    /// Returns the converter readings of a simulated hand that the keyboard moves.
     fn counts(&mut self, now_ms: u64) -> AdcCounts {
         self.held = self.held.filter(|&(_, until)| now_ms < until);
         while self.steps.front().is_some_and(|(_, from)| now_ms >= from + STEP_INTERVAL_MS) {
@@ -442,7 +442,7 @@ mod tests {
             let acks = read(&wire, |m| if let BoardMessage::Ack(ack) = m { Some(ack.result) } else { None });
             recorded.extend(acks);
         }
-        // A keyboard right hand needs no samples, but a left hand always does.
+        // A right hand on the keyboard needs no samples, but a left hand always needs samples.
         assert_eq!(recorded, [AckResult::Ok, AckResult::Unsupported]);
     }
 

@@ -68,7 +68,7 @@ enum Phase {
     Ready { until_ms: u64 },
     /// The wearer draws.
     Taking { collector: Collector, heard_ms: u64 },
-    /// The board returns to its normal mode; afterwards, this follows.
+    /// The board returns to its normal mode before this next phase begins.
     Back(After),
     /// A model is being trained on the gestures that were shown.
     Learning { taken: bool },

@@ -1,4 +1,4 @@
-//! Sends a model, or a new image, to a board in pieces and processes the acknowledgements. Sans-IO.
+//! Sends a model or a new image to a board in pieces, and processes the acknowledgements. Sans-IO.
 //!
 //! ```text
 //! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
@@ -38,7 +38,7 @@ pub enum Stage {
 #[derive(Clone, Debug)]
 pub struct Upload {
     blob: Vec<u8>,
-    /// CRC-32 of the blob.
+    /// CRC-32 of the model or image.
     model_id: u32,
     is_image: bool,
     stage: Stage,
@@ -82,7 +82,7 @@ impl Upload {
         Ok(Self::of(blob, model_id, false, request))
     }
 
-    /// Creates a transfer of the file of a new image.
+    /// Creates the transfer of a new image file.
     pub fn image(file: &[u8], request: u16) -> Self {
         Self::of(file, crc32(file), true, request)
     }
@@ -177,7 +177,7 @@ impl Upload {
     pub fn restarted(&mut self) {
         match self.stage {
             Stage::Done | Stage::Failed(_) => {}
-            // The board restarts with the image, and the answer was lost.
+            // The board restarts to install the image. Only the answer was lost.
             Stage::Commit if self.is_image => self.go(Stage::Done),
             _ => self.go(Stage::Begin),
         }

@@ -39,19 +39,19 @@ pub struct Wheels {
     pub angle_rad: [f64; 2],
 }
 
-/// The frame in which a robot was told where a thing is.
+/// The frame of an object's pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Root {
-    /// The point on the floor between the wheels.
+    /// The frame at the point on the floor between the wheels.
     Base,
-    /// The arm's base.
+    /// The frame of the arm's base.
     Arm,
 }
 
-/// Where a thing is that the arm may go to.
+/// The pose of an object to which the arm may move.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
-    /// Place and orientation, with finite values.
+    /// Position and orientation, with finite values.
     pub pose: Pose,
     /// The frame of the pose.
     pub root: Root,
@@ -209,10 +209,10 @@ pub trait Robot {
     /// Stops the fingers at their current position. This function never opens the fingers.
     fn halt_gripper(&mut self) {}
 
-    /// Returns where the thing is whose pose is published on this topic. Its age counts from the measurement.
+    /// Returns the newest pose of the object on this topic. The age counts from the time of measurement.
     ///
     /// # Errors
-    /// The reason why this is not known, with a remedy.
+    /// Returns the reason why the pose is unknown, with a remedy.
     fn sighting(&self, topic: &str) -> Result<Reading<Sighting>, String> {
         Err(format!("nobody reads {topic} here: only `--ros2` with a robot reads topics"))
     }

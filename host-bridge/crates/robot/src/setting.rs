@@ -21,11 +21,11 @@ pub struct RobotSetting {
     pub body: UprightBox,
     /// Position of the arm's base, relative to the point on the floor between the wheels.
     pub mount_m: Point,
-    /// Of the arm.
+    /// The name of the arm.
     pub arm_name: String,
     /// Link of the arm's base frame, as named in the arm's description.
     pub arm_root: String,
-    /// From the foot on.
+    /// The joints of the arm, in order from the foot.
     pub joints: Vec<JointSetting>,
     /// Position of the flange in the last joint's frame.
     pub flange_m: Point,
@@ -41,7 +41,7 @@ pub struct RobotSetting {
 /// A box of the scene.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneBox {
-    /// From the scene file.
+    /// The name in the scene file.
     pub name: String,
     /// Where.
     #[serde(flatten)]
@@ -51,7 +51,7 @@ pub struct SceneBox {
 /// An object of the scene at its current position.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneObject {
-    /// From the scene file.
+    /// The name in the scene file.
     pub name: String,
     /// Height above its underside.
     pub height_m: f64,

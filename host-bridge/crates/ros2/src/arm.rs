@@ -154,7 +154,7 @@ impl ArmLink {
         self.doubts.held(&here.joints_rad, now_ms)
     }
 
-    /// Returns a reason against moving the arm.
+    /// Returns the reason why the arm must not move, if there is one.
     fn problem(&self, now_ms: u64) -> Option<String> {
         self.doubts.problem(self.interface == ArmInterface::Stream, now_ms)
     }

@@ -167,7 +167,7 @@ pub struct Ros2Config {
     pub arm_prefix: String,
     /// Topic of the simulator's URDF, with `--publish-sim`. Empty means that the URDF is not published.
     pub robot_description: String,
-    /// What the motions need of the graph, in addition to the file.
+    /// The topics and frames that the motions need. They do not come from the configuration file.
     #[serde(skip)]
     pub watched: Watched,
 }

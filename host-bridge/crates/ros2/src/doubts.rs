@@ -95,7 +95,8 @@ impl Doubts {
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 
-    /// Returns a reason against moving the arm. `in_pieces` selects reasons that concern motions in pieces.
+    /// Returns the reason why the arm must not move, if there is one.
+    /// `in_pieces` includes reasons that concern only motions sent as several short trajectories.
     pub fn problem(&self, in_pieces: bool, now_ms: u64) -> Option<String> {
         let lately = |at_ms: u64, long_ms: u64| now_ms.saturating_sub(at_ms) <= long_ms;
         let tellers: Vec<&str> = self

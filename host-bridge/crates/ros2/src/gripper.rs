@@ -2,7 +2,7 @@
 //!
 //! This module is sans-IO. A stall while closing means an object between the fingers, which is success.
 //! A server without a report for too long has failed.
-//! A stop requests the goal's cancellation repeatedly until its end is known, and sends no other goal.
+//! A stop requests the cancellation of the goal repeatedly, until the end of the goal is known. It sends no new goal.
 //! Goals that were rejected or reported as finished are cancelled again by each stop, like those of the arm.
 
 use host_robot::{Grip, GripEnd, Reading};

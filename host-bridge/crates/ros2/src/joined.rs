@@ -83,7 +83,7 @@ pub struct Joined {
     /// The status of the goals on the arm's action server.
     /// The status is read only if we have no client for that server.
     pub goals: Option<Subscription<GoalStatusArray>>,
-    /// The poses of things. Each thing has its own topic.
+    /// The poses of objects. Each object has its own topic.
     pub things: Vec<Subscription<ros::PoseStamped>>,
     /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,

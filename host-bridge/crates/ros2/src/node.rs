@@ -116,7 +116,7 @@ impl RosNode {
         robot.at(now_ms);
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
-        // The newest `/clock` counts, which may come after a pose.
+        // Poses are processed later, because a newer `/clock` message may follow a pose.
         let mut things = Vec::new();
         self.hear(wall_s, now_ms, |came| match came {
             Came::Arm(state, teller) => robot.see_from(teller, state),

@@ -75,7 +75,7 @@ pub struct Counts {
     /// Number of speeds and pieces of arm motions that newer ones replaced before they were sent.
     /// This happens only in stalled Zenoh networks.
     pub replaced: u64,
-    /// Goals that were cancelled or became too old before they were sent (likewise).
+    /// Goals that were cancelled or became too old before they were sent. This also happens only in stalled networks.
     pub withdrawn: u64,
     /// Messages and requests that could not be sent.
     pub failed: u64,
@@ -217,12 +217,12 @@ impl RosRobot {
         self.seen = Some((BaseState { odometry: moved, covariance, wheels: None }, self.now_ms));
     }
 
-    /// Sets the graph's time of this turn in seconds, by which stamps of things count.
+    /// Sets the graph's current time in seconds, which determines the ages of poses.
     pub fn set_clock(&mut self, clock_s: f64) {
         self.things.at(clock_s);
     }
 
-    /// Processes the pose of a thing.
+    /// Processes the pose of an object.
     pub fn see_thing(&mut self, topic: &str, pose: &ros::PoseStamped) {
         self.things.see(topic, pose, self.now_ms);
     }

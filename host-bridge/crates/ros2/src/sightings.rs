@@ -1,7 +1,9 @@
-//! Watched on the graph: poses (`geometry_msgs/PoseStamped`) to which the arm may go, with their age by their stamps.
+//! Stores the poses (`geometry_msgs/PoseStamped`) of objects to which the arm may move.
+//! The age of each pose comes from its time stamp.
 //!
-//! A pose is taken in the frame of the arm's base or of the mobile base; this program looks up no transforms. The newest
-//! message counts, also if it cannot be used: then nothing is known. This module is sans-IO.
+//! A pose must be in the frame of the arm's base or of the mobile base, because this program does not look up transforms.
+//! If the newest message is unusable, the pose is unknown, even if an earlier message was usable.
+//! This module is sans-IO.
 
 use std::collections::BTreeMap;
 
@@ -10,43 +12,44 @@ use super::config::Ros2Config;
 use host_robot::{DMat3, DQuat, DVec3, Pose, Reading, Root, Sighting};
 use host_topics::message::PoseStamped;
 
-/// No arm reaches this far, in m.
+/// Maximum distance of a pose in m. No arm can reach this far.
 const FAR_M: f64 = 100.0;
-/// The length of a quaternion may differ from 1 by this much.
+/// Maximum deviation of a quaternion's length from 1.
 const UNIT_OFF: f64 = 0.05;
 
-/// What the motions need of the graph. It follows from the motions and the arm, and is not a part of the configuration's file.
+/// The topics and frames that the motions need.
+/// They are derived from the motions and the arm, and are not in the configuration file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Watched {
-    /// The topics of the poses.
+    /// The topics on which poses are published.
     pub topics: Vec<String>,
     /// The root link of the arm's own description.
     pub arm_root: String,
 }
 
-/// The names of the frames in which poses are taken.
+/// The names of the frames in which poses are accepted.
 #[derive(Clone, Debug)]
 struct Names {
     base: String,
     arm: Vec<String>,
 }
 
-/// A message as it came.
+/// The content of a received message.
 #[derive(Clone, Debug)]
 struct Told {
     sighting: Result<Sighting, String>,
     stamp_s: f64,
-    /// Its age on arrival, and when that was.
+    /// The message's age on arrival. The next field is the time of arrival.
     age_ms: u64,
     at_ms: u64,
 }
 
-/// See the module.
+/// The newest pose of each topic, as described in this module.
 #[derive(Clone, Debug)]
 pub struct Sightings {
     names: Names,
     told: BTreeMap<String, Option<Told>>,
-    /// The graph's time at the last turn.
+    /// The graph's time at the most recent call of [`Self::at`].
     clock_s: f64,
 }
 
@@ -65,12 +68,12 @@ impl Sightings {
         }
     }
 
-    /// Sets the graph's time of this turn, in seconds. Ages follow it if it runs ahead of ours.
+    /// Sets the graph's current time in seconds. If the graph's clock runs faster than ours, it determines the ages.
     pub fn at(&mut self, clock_s: f64) {
         self.clock_s = clock_s;
     }
 
-    /// Processes a pose that arrived in this turn.
+    /// Processes a newly received pose.
     pub fn see(&mut self, topic: &str, message: &PoseStamped, now_ms: u64) {
         let Some(told) = self.told.get_mut(topic) else { return };
         let stamp_s = message.header.stamp.seconds();
@@ -86,10 +89,10 @@ impl Sightings {
         *told = Some(Told { sighting, stamp_s, age_ms, at_ms: now_ms });
     }
 
-    /// Returns the newest pose on this topic with its age.
+    /// Returns the newest pose on this topic, with the age of the pose.
     ///
     /// # Errors
-    /// The reason why there is none, with a remedy.
+    /// Returns the reason why the pose is unknown, with a remedy.
     pub fn get(&self, topic: &str, now_ms: u64) -> Result<Reading<Sighting>, String> {
         let Some(told) = self.told.get(topic) else {
             return Err(format!("{topic} is not read"));
@@ -103,7 +106,7 @@ impl Sightings {
             .sighting
             .clone()
             .map_err(|why| format!("the newest pose on {topic} cannot be used: {why}"))?;
-        // A clock that is set back, or a computer that slept, makes no pose younger.
+        // The larger age is used, so a pose never becomes younger when a clock is set back or the computer sleeps.
         let since_ms = told.age_ms.saturating_add(now_ms.saturating_sub(told.at_ms));
         let by_clock_ms = ((self.clock_s - told.stamp_s).max(0.0) * 1000.0).round() as u64;
         Ok(Reading { value, age_ms: since_ms.max(by_clock_ms) })

@@ -37,7 +37,7 @@ pub enum Came {
     Base(Box<ros::Odometry>),
     /// The arm controller's set point and state.
     Controller(Box<ToldState>),
-    /// The pose of a thing, with the number of its topic among the configured ones.
+    /// The pose of an object, with the index of its topic in the configured list.
     Thing(usize, Box<ros::PoseStamped>),
     /// The number of active goals on the arm's action server that are not ours.
     ForeignGoals(usize),

@@ -147,7 +147,7 @@ impl Node {
 
     fn begin(&self, id: u32, entity: Entity) -> String {
         let Node { domain, session, namespace, name } = self;
-        // The enclave, which is ROS's default, precedes the namespace.
+        // The `%` is the default ROS enclave. In the key, it comes before the namespace.
         format!(
             "{ADMIN}/{domain}/{session}/0/{id}/{}/%/{}/{}",
             entity.code(),

@@ -25,7 +25,7 @@ messages! {
         key: u8,
     }
 
-    /// The robot itself begins or ceases to refuse motion.
+    /// The robot itself begins to refuse motion, or no longer refuses it.
     "bimanual_msgs/Refused" Refused {
         /// Time of day.
         stamp: Time,

@@ -81,9 +81,9 @@ messages! {
 
     /// `geometry_msgs/PoseStamped`.
     "geometry_msgs/PoseStamped" PoseStamped {
-        /// When it was measured, and in which frame.
+        /// The time of the measurement, and the frame of the pose.
         header: Header,
-        /// Where.
+        /// Position and orientation.
         pose: Pose,
     }
 

@@ -25,7 +25,7 @@ pub trait Board {
     fn opened(&mut self, open: bool);
     /// Called when the cable is disconnected. The cable may be the board's only power supply.
     fn pulled(&mut self);
-    /// Called when the cable is connected: the board starts, and its port exists when this returns.
+    /// Called when the cable is connected. The board starts, and its port exists when this function returns.
     fn plugged(&mut self);
     /// Presses the reset button.
     /// Returns true if the port disappears and returns, as on a board with native USB.

@@ -72,7 +72,7 @@ impl Time {
     }
 
     /// Suspends the laptop for this duration while its boards continue.
-    /// The programs' time stands still meanwhile and jumps at the next step, as after a real suspend.
+    /// During the suspension, the programs' time does not advance. At the next step it jumps, as after a real suspend.
     pub fn suspend(&self, time: Duration) {
         (0..time.as_millis()).for_each(|_| self.turn(&[]));
         self.step();

@@ -50,7 +50,7 @@ pub struct Cmd {
     /// Network: JSON file with `mean`, `deviation` (one per feature) and `limit` [default: unscaled features]
     #[arg(long, value_name = "FILE")]
     scaling: Option<PathBuf>,
-    /// Network: name of the new files [default: that of the .tflite file]
+    /// Network: name of the new files [default: the name of the .tflite file]
     #[arg(long)]
     name: Option<String>,
 }

@@ -57,7 +57,7 @@ struct Item {
 struct Read {
     items: Vec<Item>,
     notes: Vec<String>,
-    /// Whether only a file's name gave the label.
+    /// Whether the label comes only from the file's name.
     label_from_name: bool,
 }
 

@@ -134,7 +134,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     Ok(RawSheet { sources: layout.sensors, takes, notes })
 }
 
-/// Returns the ms per unit of the times, if the file declares them.
+/// Returns the length of the file's time unit in milliseconds, if the file declares a unit.
 fn unit(layout: &Layout, of_day: bool) -> Option<f64> {
     if of_day { Some(1000.0) } else { layout.time.and_then(|(_, unit)| unit) }
 }
@@ -270,7 +270,7 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// Returns a sensor's samples at these times.
+    /// Returns a sensor's samples, interpolated at these times.
     /// Returns `None` if the sensor's own times do not cover these times to within 0.2 s.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;

@@ -42,22 +42,31 @@ pub struct Aligned {
     /// Real people whose daily movement also provides examples of `other`.
     /// The daily movement is used only together with `bystanders`.
     pub daily: Daily,
+    /// Hidden widths of a smaller network that learns the probabilities of the merged one and replaces it.
+    /// `None` keeps the merged network, which is what boards run.
+    pub student: Option<[usize; 2]>,
 }
 
 /// The recipe with its default parameters.
-pub const ALIGNED: Aligned =
-    Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
+pub const ALIGNED: Aligned = Aligned {
+    steps: Steps::TRAIN,
+    copies: 10,
+    bystanders: 100,
+    performers: 40,
+    daily: Daily::All,
+    student: None,
+};
 
 impl Aligned {
     /// Limits the number of steps and the number of simulated wearers. `None` changes nothing.
     pub fn with_steps(&self, count: Option<usize>) -> Self {
         let Some(count) = count else { return self.clone() };
-        let Self { mut steps, copies, bystanders, performers, .. } = *self;
+        let Self { mut steps, bystanders, performers, .. } = *self;
         let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
         let (bystanders, performers) = (fewer(bystanders), fewer(performers));
         (steps.count, steps.most) = (count, count);
         steps.rounded = steps.rounded.min(count);
-        Self { steps, copies, bystanders, performers, daily: self.daily.clone() }
+        Self { steps, bystanders, performers, ..self.clone() }
     }
 }
 
@@ -140,7 +149,11 @@ impl Recipe for Aligned {
         let Learnt { rows, labels, limit, of_recordings, .. } = *learnt;
         let start = Start::Widths(&crate::ALIGNED_MEMBER_HIDDEN);
         let plan = self.steps.following(of_recordings);
-        let layers = steps::fit(rows, labels, &start, &plan, limit, seed)?;
+        let merged = steps::fit(rows, labels, &start, &plan, limit, seed)?;
+        let layers = match self.student {
+            Some(hidden) => steps::distil(rows, labels, &merged, &hidden, &plan, limit, seed)?,
+            None => merged,
+        };
         let epochs = (plan.count * plan.batch).div_ceil(rows.len().max(1));
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
@@ -162,6 +175,13 @@ impl Recipe for Aligned {
         let copies = self.copies.min(3);
         // The figures of `models simulated` were measured with the minimum number of steps.
         let steps = Steps { most: self.steps.count, ..self.steps };
-        Box::new(Self { steps, copies, bystanders: 0, performers: 0, daily: Daily::None })
+        Box::new(Self {
+            steps,
+            copies,
+            bystanders: 0,
+            performers: 0,
+            daily: Daily::None,
+            student: self.student,
+        })
     }
 }

@@ -21,7 +21,7 @@ pub struct PerAxis {
     pub about: &'static str,
     /// The conversion of features to network inputs.
     pub features: FeatureKind,
-    /// Fraction of the recordings that determine when training stops.
+    /// Fraction of the recordings held out for early stopping.
     pub validation_fraction: f64,
     /// Number of hops between the starts of two training windows of a recording.
     pub stride_hops: usize,

@@ -342,7 +342,7 @@ mod cortex_m4f {
             let arguments = SumArguments { inputs: inputs.as_ptr(), quads: inputs.len(), block_bytes, sums };
             // SAFETY: the block is aligned and matches the inputs' length.
             // The routine reads the block and the inputs, and writes the sums.
-            // It follows the procedure call standard.
+            // The routine follows Arm's procedure call standard.
             unsafe { bimanual_sums(&arguments, block.as_ptr()) };
         }
         fits

@@ -1,7 +1,7 @@
 //! The commands of the controller's C interface.
 //! Each command is an HCI command, and its arguments are packed in the same way.
 
-/// The place where a command is answered.
+/// The component that answers a command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Who {
     /// Bumble's controller answers.

@@ -72,7 +72,7 @@ pub struct SoftDevice {
     pub calls: BTreeMap<u8, u64>,
     /// Number of cycles spent in S140's own interrupts.
     pub own_cycles: u64,
-    /// Whether an interrupt of S140 ran, which wakes a sleeping core.
+    /// Whether an interrupt handler in S140 ran. Such an interrupt wakes a sleeping core.
     pub woke: bool,
 }
 

@@ -7,7 +7,7 @@ use crate::plan::guard::{Guard, Moving, TICK_MS};
 
 use super::Director;
 
-/// Maximum age of the base's pose for driving in a scene.
+/// Maximum age of the base's pose with which the base may drive in a scene.
 const BASE_AGE_MAX_MS: u64 = 250;
 
 impl<R: Robot> Director<R> {

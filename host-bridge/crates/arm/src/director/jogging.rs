@@ -46,7 +46,7 @@ pub(super) struct Jog {
     tell_ms: u64,
     /// The tool's orientation when the tool began to move.
     hold: DMat3,
-    /// The tool is moved up to this time of the plan, and brakes afterwards.
+    /// The tool moves until this time in the plan, and then brakes.
     until_s: f64,
     /// The tool was stopped; the hand must be neutral before the tool moves again.
     pub(super) needs_neutral: bool,

@@ -115,7 +115,7 @@ pub struct Director<R> {
     plans: u64,
     wanted: Twist,
     allowed: Twist,
-    /// When the base was last driven or moved.
+    /// Time at which the base last received a drive command or last reported a movement.
     base_moved_ms: Option<u64>,
     guard_due_ms: u64,
     held: Option<String>,
@@ -208,8 +208,8 @@ impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
         self.robot.hear(now_ms);
         // In a scene, the guard checks after each tick, however long this program was suspended.
-        // If a pause is so long that every robot has come to rest by itself,
-        // the time that remains of the pause is a single step.
+        // After a pause of this length, every robot has come to rest by itself.
+        // The rest of a longer pause is therefore a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
             let looks = self.site.planner().is_some() && self.now_ms < looks_until_ms;

@@ -1,6 +1,6 @@
 //! Plans motions on a separate thread, so that the thread that stops the robot never waits.
 //!
-//! While a motion is planned, the arm rests, and stops and the dead-man work as usual.
+//! While a motion is planned, the arm rests. Stop commands and the dead-man work as usual.
 //! Each of these events discards the plan.
 //! A plan that comes too late is not begun ([`AGE_MAX_MS`]). A plan that no longer fits is not begun either:
 //! objects, fingers and arm must be unchanged.
@@ -53,7 +53,7 @@ pub(super) struct Planning {
     pub(super) motion: MotionName,
     /// Time of the request for the motion.
     since_ms: u64,
-    /// Where the base stood.
+    /// The position of the base at the time of planning.
     placement: Placement,
     /// Tool and objects at the time of planning.
     things: Things,
@@ -86,7 +86,7 @@ impl Drop for Thread {
 }
 
 impl Job {
-    /// A thread that cannot start, or that fails, gives a plan that never arrives.
+    /// If the thread cannot start, or if it fails, the plan never arrives.
     /// Such a plan never arrives in a replayed session either.
     fn aside(task: Task) -> Self {
         let (is_done, ends) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());

@@ -1,8 +1,9 @@
-//! Goals that move: where the thing is that a step goes to, and whether it is still there.
+//! Moving goals: finds the object that a step goes to, and checks that the object is still there.
 //!
-//! All places are looked up when the motion is asked for, and the whole motion is planned to them. It does not begin if a
-//! pose is too old, or if the thing or the base has moved since. Until the gripper has moved, each part of the motion begins
-//! only if thing and base are still there. A pose may then be older, because the hand often hides what it reaches for.
+//! The poses of all objects are looked up when a motion is requested, and the entire motion is planned with these poses.
+//! The motion does not begin if a pose is too old, or if the object or the base has moved since the measurement.
+//! Before the first gripper movement, each part of the motion begins only if neither object nor base has moved.
+//! For these later checks, a pose may be older, because the arm often hides the object from the camera.
 
 use host_robot::{MotionName, Pose, Reading, Robot, Root};
 
@@ -13,35 +14,35 @@ use crate::things::{ObjectPose, Things, on_base};
 
 use super::{Director, Site, still_moves};
 
-/// A thing that is this far from where it was seen, in m, has moved,
+/// An object that is more than this distance (in m) from its planned position has moved.
 const MOVED_M: f64 = 0.01;
-/// or that has turned by this much, in rad. Cameras report smaller changes all the time.
+/// An object that has turned by more than this angle (in rad) has moved. Cameras constantly report smaller changes.
 const TURNED_RAD: f64 = 0.1;
-/// A base that reports no odometry counts as moving for this long after its last command.
+/// A base without odometry is assumed to move for this time after its last command.
 const BLIND_MS: u64 = 2000;
 
-/// The place of a thing, as the motion was planned to it.
+/// The pose of an object on a topic, as used in the plan.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Seen {
     topic: String,
     age_max_ms: u64,
-    /// In the frame of the base.
+    /// The object's pose in the frame of the base.
     on_base: Pose,
     /// Time of the measurement.
     taken_ms: u64,
 }
 
-/// What a step is about; until the gripper moves, the steps after it are, too.
+/// The object to which a step is relative. Until the gripper moves, later steps also depend on it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Anchor {
-    /// An object of the scene, with its number.
+    /// An object with this index in the scene.
     Object(usize),
-    /// A thing on a topic.
+    /// An object whose pose is published on a topic.
     Topic(Seen),
 }
 
 impl Anchor {
-    /// Returns the frame's pose relative to the point between the wheels.
+    /// Returns the object's pose relative to the point between the wheels.
     pub(super) fn on_base(&self, site: &Site, things: &Things, placement: Placement) -> Result<Pose, String> {
         match self {
             Anchor::Topic(seen) => Ok(seen.on_base),
@@ -54,10 +55,10 @@ impl Anchor {
 }
 
 impl<R: Robot> Director<R> {
-    /// Looks up the frame of each step.
+    /// Looks up the object of each step.
     pub(super) fn anchors(&self, steps: &[Step]) -> Result<Vec<Option<Anchor>>, String> {
         let anchor = |(i, step): (usize, &Step)| {
-            let Step::Tool { frame: Some(frame), .. } = step else { return Ok(None) };
+            let Some(frame) = step.frame() else { return Ok(None) };
             let found = match frame {
                 Frame::Object(name) => {
                     let objects = self.site.shop().objects;
@@ -72,16 +73,21 @@ impl<R: Robot> Director<R> {
         steps.iter().enumerate().map(anchor).collect()
     }
 
-    /// Returns whether a pose has come on each topic that this motion needs, however old it is.
+    /// Returns whether all poses that this motion needs have arrived: the pose of the base in a scene, and a pose on every topic.
+    /// The age of a topic's pose does not matter.
     pub fn has_seen(&self, motion: &MotionName) -> bool {
+        if self.site.planner().is_some() && self.known_base().is_err() {
+            return false;
+        }
         let steps = self.motions.get(motion.as_str()).map(|motion| motion.steps).unwrap_or_default();
-        steps.iter().all(|step| match step {
-            Step::Tool { frame: Some(Frame::Topic { name, .. }), .. } => self.robot.sighting(name).is_ok(),
+        steps.iter().all(|step| match step.frame() {
+            Some(Frame::Topic { name, .. }) => self.robot.sighting(name).is_ok(),
             _ => true,
         })
     }
 
-    /// Returns where this topic's thing is, if that was measured lately enough and the base has not moved since.
+    /// Returns the pose of this topic's object.
+    /// Fails if the pose is too old, or if the base has moved since the measurement.
     fn look(&self, topic: &str, age_max_ms: u64) -> Result<Seen, String> {
         let Reading { value, age_ms } = self.robot.sighting(topic)?;
         if age_ms > age_max_ms {
@@ -103,7 +109,7 @@ impl<R: Robot> Director<R> {
         Ok(Seen { topic: topic.to_owned(), age_max_ms, on_base, taken_ms })
     }
 
-    /// Checks that the thing is still where the motion was planned to. With `begins`, its pose must also be recent.
+    /// Checks that the object is still where the plan expects it. With `begins`, the pose must also be recent.
     pub(super) fn is_still_there(&self, anchor: &Anchor, begins: bool) -> Result<(), String> {
         let Anchor::Topic(seen) = anchor else { return Ok(()) };
         if self.base_has_moved_since(seen.taken_ms) {
@@ -114,10 +120,8 @@ impl<R: Robot> Director<R> {
         }
         let age_max_ms = if begins { seen.age_max_ms } else { u64::MAX };
         let now = self.look(&seen.topic, age_max_ms)?.on_base;
-        let off_m = (now.position_m - seen.on_base.position_m).length();
-        let turn = (now.rotation.transpose() * seen.on_base.rotation).to_cols_array_2d();
-        let cosine = 0.5 * (turn[0][0] + turn[1][1] + turn[2][2] - 1.0);
-        let turned_rad = cosine.clamp(-1.0, 1.0).acos();
+        let off_m = now.position_m.distance(seen.on_base.position_m);
+        let turned_rad = now.quaternion().angle_between(seen.on_base.quaternion());
         if off_m <= MOVED_M && turned_rad <= TURNED_RAD {
             return Ok(());
         }
@@ -128,7 +132,7 @@ impl<R: Robot> Director<R> {
         ))
     }
 
-    /// Notes when the base moved last.
+    /// Stores the time at which the base last moved.
     pub(super) fn watch_base(&mut self) {
         let is_driven = self.allowed != host_robot::Twist::ZERO;
         let moves = self.robot.base().is_some_and(|base| still_moves(base.value.odometry.twist));

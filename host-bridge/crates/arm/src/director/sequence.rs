@@ -34,7 +34,7 @@ pub(super) enum Act {
         /// 0 if the path does not lead through home.
         home_s: f64,
         touch: Touch,
-        /// The thing to which the motion is relative.
+        /// The object to which the motion is relative.
         anchor: Option<Anchor>,
     },
     /// The gripper moves.
@@ -53,7 +53,7 @@ impl Act {
         }
     }
 
-    /// Returns the thing that the act is about.
+    /// Returns the object on which this act depends.
     pub(super) fn anchor(&self) -> Option<&Anchor> {
         match self {
             Act::Follow { anchor, .. } | Act::Grip { anchor, .. } => anchor.as_ref(),
@@ -73,7 +73,7 @@ struct Draft {
     purse: Purse,
     /// A number that distinguishes plans that are otherwise equal.
     turn: u64,
-    /// The thing to which the current steps are relative.
+    /// The object to which the current steps are relative.
     anchor: Option<Anchor>,
 }
 
@@ -85,7 +85,7 @@ impl Draft {
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
         // Consecutive legs form one trajectory. The arm rests between them, and no new check is needed.
-        // Before each leg to a thing, the pose of the thing is checked again.
+        // Before each leg to an object, the pose of the object is checked again.
         if let Some(Act::Follow { trajectory, touch: same, anchor: None, .. }) = self.acts.back_mut()
             && *same == touch
             && self.anchor.is_none()
@@ -103,7 +103,7 @@ impl Draft {
 pub(super) struct Task {
     plot: Plot,
     steps: Vec<Step>,
-    /// The frame of each step.
+    /// The object to which each step is relative, if there is one.
     anchors: Vec<Option<Anchor>>,
     draft: Draft,
 }
@@ -173,7 +173,7 @@ impl<R: Robot> Director<R> {
         Ok(Task { plot, steps, anchors, draft })
     }
 
-    /// Where everything is now.
+    /// Returns the current positions of the arm and all objects.
     fn draft(&self, moves: bool, needs_rest: bool) -> Result<Draft, String> {
         if moves {
             self.robot.can_follow()?;
@@ -219,7 +219,7 @@ pub(super) fn can_start(arm: &SerialArm, from_rad: &Joints) -> Result<(), String
 }
 
 impl Plot {
-    /// Plans one step; `beside` says whether the gripper moves before it and after it.
+    /// Plans one step; `beside` tells whether the gripper moves before this step and after it.
     fn take_step(&self, step: &Step, draft: &mut Draft, beside: (bool, bool)) -> Result<(), String> {
         let goal_rad = match step {
             Step::Wait { ms } => {
@@ -412,7 +412,7 @@ impl Plot {
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
         // A robot without a reported finger distance may not report it afterwards either.
         draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
-        // What the gripper holds or has left is not looked at again.
+        // After a gripper movement, the object's position is not checked again.
         let anchor = draft.anchor.take();
         draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on, anchor });
         Ok(())

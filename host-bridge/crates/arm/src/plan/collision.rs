@@ -2,7 +2,7 @@
 //!
 //! Checks of the path between two configurations are exact; they are not sampled.
 //! A rotation moves no point of the arm further than the angle times the joint's lever.
-//! One distance therefore clears a long part of the path ([`Surroundings::way_is_clear`]).
+//! One computed distance can therefore show that a long part of the path is free of collisions ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 
@@ -207,7 +207,7 @@ impl World {
         })
     }
 
-    /// Returns whether two parts touch: their capsules do, and their hulls do not prove that they are apart.
+    /// Returns whether two parts touch: their capsules touch, and their hulls do not prove a gap between them.
     fn touch(&self, joints_rad: &Joints, on_flange: &OnFlange, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
         let shapes = self.shapes(&poses, on_flange);
@@ -327,7 +327,7 @@ pub struct Surroundings<'w> {
     touch: &'w Touch,
     on_flange: OnFlange,
     boxes: Vec<(Part, UprightBox)>,
-    /// The boxes, for comparison with hulls.
+    /// The boxes as solids, for measuring their distances from hulls.
     solids: Vec<Solid>,
     base: UprightBox,
     base_solid: Solid,
@@ -337,7 +337,7 @@ pub struct Surroundings<'w> {
 }
 
 impl<'w> Surroundings<'w> {
-    /// Takes each check from this purse. When it is empty, no path is clear.
+    /// Subtracts each check from this purse. When the purse is empty, every path counts as blocked.
     #[must_use]
     pub fn paid_from(self, purse: &'w Purse) -> Self {
         Surroundings { purse: Some(purse), ..self }
@@ -376,7 +376,7 @@ impl<'w> Surroundings<'w> {
         let poses = world.arm.link_poses(joints_rad);
         let shapes = world.shapes(&poses, &self.on_flange);
         let hulls = Hulls { arm: &world.arm, on_flange: &self.on_flange, poses: &poses };
-        // Of parts whose capsules are near, and nearer than all others so far, the hulls are compared.
+        // Hulls are compared only if the capsules of the two parts are near, and nearer than those of all earlier pairs.
         let exact_m = |distance_m: f64, least_m: f64, hulls_m: &dyn Fn(f64) -> f64| {
             if distance_m < least_m.min(NEAR_M) { distance_m.max(hulls_m(least_m)) } else { distance_m }
         };

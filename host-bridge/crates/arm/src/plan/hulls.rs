@@ -1,30 +1,30 @@
-//! The links' exact hulls, for parts whose capsules are too near each other.
+//! Measures distances with the exact hulls of the links, if their capsules are too near each other.
 //!
-//! Capsules enclose the hulls and are quickly compared, so they are looked at first.
-//! Both results are lower bounds of the distance, and so is the larger one.
+//! Capsules enclose the hulls and can be compared quickly, so they are compared first.
+//! Capsules and hulls both give a lower bound of the distance, so the larger bound may be used.
 
 use crate::model::SerialArm;
 use crate::solid::Solid;
 use host_robot::shape::Capsule;
 use host_robot::{JOINTS, Pose};
 
-/// Where the capsules are this far apart, the hulls are not looked at.
+/// If two capsules are at least this far apart, their hulls are not compared.
 pub(super) const NEAR_M: f64 = 0.03;
 
-/// What the hulls do not say.
+/// The lower bound of the distance if one of the parts has no hulls.
 const UNKNOWN: f64 = f64::NEG_INFINITY;
 
-/// Shapes of tool, fingers and held object in the flange's frame.
+/// The shapes of the tool, the fingers and the held object, in the flange's frame.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OnFlange {
-    /// With their numbers among the links.
+    /// The capsules, each with the number of its link.
     pub capsules: Vec<(usize, Capsule)>,
-    /// The same as solids, in the order of the three parts; empty for an arm of which no hulls are known.
+    /// The same shapes as solids, one list for each of the three parts. The lists are empty for an arm without hulls.
     solids: [Vec<Solid>; 3],
 }
 
 impl OnFlange {
-    /// Capsules with their numbers; the tool's is `first`.
+    /// Creates the shapes from capsules with their link numbers. The tool is link `first`.
     pub fn new(capsules: Vec<(usize, Capsule)>, first: usize, arm: &SerialArm) -> Self {
         let mut on_flange = OnFlange { capsules, ..OnFlange::default() };
         if arm.joints.iter().any(|joint| !joint.solids.is_empty()) {
@@ -36,12 +36,12 @@ impl OnFlange {
     }
 }
 
-/// The hulls of one configuration.
+/// The hulls of an arm with these link poses.
 #[derive(Clone, Copy)]
 pub(super) struct Hulls<'a> {
     pub arm: &'a SerialArm,
     pub on_flange: &'a OnFlange,
-    /// The links' frames and the flange's.
+    /// The frames of the links, followed by the flange's frame.
     pub poses: &'a [Pose; JOINTS + 1],
 }
 
@@ -57,7 +57,7 @@ impl Hulls<'_> {
         }
     }
 
-    /// The proven distance of two parts, or anything beyond `enough_m`.
+    /// Returns a lower bound of the distance between two parts, but at most `enough_m`.
     pub fn pair_m(&self, one: usize, two: usize, enough_m: f64) -> f64 {
         let ((one, here), (two, there)) = (self.of(one), self.of(two));
         if one.is_empty() || two.is_empty() {
@@ -72,7 +72,7 @@ impl Hulls<'_> {
         nearest_m
     }
 
-    /// The proven distance of a part from a body in the arm's frame, or anything beyond `enough_m`.
+    /// Returns a lower bound of the distance between a part and a body in the arm's frame, but at most `enough_m`.
     pub fn part_from_m(&self, link: usize, body: &Solid, enough_m: f64) -> f64 {
         let (solids, here) = self.of(link);
         if solids.is_empty() {
@@ -84,7 +84,8 @@ impl Hulls<'_> {
     }
 }
 
-/// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
+/// Returns the distance between the capsules of two parts, but at most `within_m`.
+/// The shapes must be in the order of their link numbers.
 pub(super) fn capsules_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
     let of = |wanted: usize| {
         let start = shapes.partition_point(|(link, _)| *link < wanted);
@@ -95,7 +96,7 @@ pub(super) fn capsules_m(shapes: &[(usize, Capsule)], one: usize, two: usize, wi
         let (a_m, a_reach_m) = a.bounds_m();
         for (_, b) in of(two) {
             let (b_m, b_reach_m) = b.bounds_m();
-            // Balls around both are further apart already.
+            // If the bounding spheres are further apart than this, the exact distance cannot be smaller.
             if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
                 nearest_m = nearest_m.min(a.distance_m(b));
             }

@@ -7,7 +7,7 @@
 //! guard: at run time, keeps base and arm in states from which both can stop before they touch anything
 //! ```
 //!
-//! * [`collision`]: robot and scene, and their distances (`hulls`: the exact ones of parts that are near),
+//! * [`collision`]: distances between robot and scene (`hulls` measures parts that are near each other exactly),
 //! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
 //! * [`guard`]: permits only motion from which the robot can still stop.

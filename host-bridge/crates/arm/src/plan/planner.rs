@@ -19,7 +19,7 @@ const CHECKS_MAX: u64 = 30_000;
 const TRIES_MAX: u64 = 12;
 
 /// After this number of checks, no further plan of a motion is compared.
-/// Checks are counted and not timed; this number takes about 60 ms on one core.
+/// The planner counts checks instead of measuring time. This many checks take about 60 ms on one core.
 pub const COMPARING_CHECKS_MAX: u64 = 12_000;
 
 /// Interval at which cut corners are checked for the path of braking.
@@ -194,7 +194,7 @@ impl Planner {
     /// `turn` distinguishes otherwise equal plans: equal turns give equal plans.
     ///
     /// # Errors
-    /// [`Refusal`]. Nothing moves in this case.
+    /// Fails with a [`Refusal`]. Nothing moves in this case.
     pub fn plan(
         &self,
         from_rad: &Joints,
@@ -225,7 +225,7 @@ impl Planner {
     /// Plans a straight line of the flange without a detour.
     ///
     /// # Errors
-    /// [`Refusal`]. Nothing moves in this case.
+    /// Fails with a [`Refusal`]. Nothing moves in this case.
     pub fn straight(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Trajectory, Refusal> {
         let path_rad = line::along(self.world.arm(), from_rad, target, case.purse)?;
         let around = self.around(case);
@@ -260,7 +260,7 @@ impl Planner {
     /// Like [`Planner::plan`], with the current tool and objects.
     ///
     /// # Errors
-    /// [`Refusal`]. Nothing moves in this case.
+    /// Fails with a [`Refusal`]. Nothing moves in this case.
     pub fn plan_among(
         &self,
         from_rad: &Joints,

@@ -10,7 +10,7 @@ use crate::jog::{self, JogRules};
 use crate::safety::{self, Hand, State};
 
 impl Bridge {
-    /// Sets the rules by which a label or a key lends the left hand to the arm.
+    /// Sets the rules for jogging, such as the gesture that switches the left hand to the arm.
     #[must_use]
     pub fn jogging_by(self, jog: JogRules) -> Self {
         Bridge { jog, ..self }
@@ -21,7 +21,7 @@ impl Bridge {
         self.safety.is_lent()
     }
 
-    /// Processes the clutch's key, which lends the left hand to the arm or takes it back.
+    /// Processes the clutch's key, which switches the left hand from the base to the arm, or back.
     pub fn clutch_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         if self.jog.is_on() {
             let _ = self.clutch(0, now_ms, robot);
@@ -50,7 +50,7 @@ impl Bridge {
         GestureOutcome::Lent
     }
 
-    /// Takes the left hand back, in every state.
+    /// Returns the left hand to the base, in any state.
     pub(super) fn take_back(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Clutch { lends: false }, now_ms, robot);
     }

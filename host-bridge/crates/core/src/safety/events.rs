@@ -60,13 +60,13 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself begins or ceases to refuse motion.
+    /// The robot itself begins to refuse motion, or no longer refuses it.
     /// The cause may be its e-stop, a fault, or clocks that differ.
     Robot {
         /// It refuses.
         refuses: bool,
     },
-    /// The clutch lends the left hand to the arm, or returns it to the base.
+    /// The clutch switches the left hand to the arm, or back to the base.
     /// Lending requires the armed state.
     Clutch {
         /// It is lent.
@@ -133,9 +133,9 @@ pub enum Action {
     Lent(bool),
     /// These bends count.
     Bends {
-        /// Of the index finger.
+        /// Number of bends of the index finger.
         index: u8,
-        /// Of the middle finger.
+        /// Number of bends of the middle finger.
         middle: u8,
     },
     /// This gesture counts.

@@ -95,7 +95,7 @@ impl Default for SafetyTimes {
 /// A robot that itself refuses to move leads to `Refused` from every state except `Stopped`.
 /// When the robot no longer refuses, the state is `Waiting`, and neutral is required;
 /// no release skips this step.
-/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`.
+/// The clutch, which switches the left hand between the base and the arm, leads from `Armed` to `Waiting`.
 /// The same happens if the right hand does not rest while the left hand is lent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]

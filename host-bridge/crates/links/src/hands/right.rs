@@ -151,7 +151,7 @@ impl ModelFile {
 /// The notes are those of all recordings. The start time is that of the first recording.
 ///
 /// If a recording has more than `axes` axes, only the first ones are used, as in `models eval`.
-/// At least `needed` axes must exist, and missing ones are 0.
+/// At least `needed` axes must exist. Missing axes have the value 0.
 ///
 /// # Errors
 /// Returns [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.

@@ -22,7 +22,7 @@ pub fn onto(wire: &mut Vec<u8>) -> impl FnMut(&[u8]) -> bool {
     }
 }
 
-/// A left board. Its times are those of the session; the board uses the low 32 bits.
+/// A left board. The board's clock shows the low 32 bits of the session's time.
 #[derive(Clone, Debug)]
 pub struct VirtualLeft {
     board: LeftBoard<RamEeprom>,

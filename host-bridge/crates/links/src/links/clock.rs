@@ -4,7 +4,7 @@
 //! In the released program, the waiter uses the machine's clock.
 //! With the feature `test-clock` (tests only), a test can control the time.
 //! The time then advances only when all waiters wait.
-//! Board, line and program therefore share the time at any load of the machine.
+//! Board, line and program therefore share the same time, however busy the machine is.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -180,7 +180,7 @@ impl Waiter {
 }
 
 /// Ends a thread's waits under a test's clock, so that the thread can be joined while time stands still.
-/// With the machine's clock, waits are short, so this function does nothing.
+/// This function does nothing for the machine's own clock, because waits are short there.
 #[derive(Clone, Debug)]
 pub struct Waker {
     #[cfg(feature = "test-clock")]

@@ -40,7 +40,7 @@ pub enum Read {
     Base,
     /// The arm's controller.
     Controller,
-    /// The thing with this number among the configured ones.
+    /// The object whose topic has this index in the configured list.
     Thing(usize),
     /// The status of all goals on an action's server.
     Status(Which),
@@ -75,7 +75,7 @@ pub enum Word {
     Base(Box<ros::Odometry>),
     /// The arm's controller.
     Controller(Box<ToldState>),
-    /// A thing.
+    /// The pose of an object, with the index of its topic.
     Thing(usize, Box<ros::PoseStamped>),
 }
 

@@ -154,7 +154,7 @@ impl Outbox {
         lane.came.notify_all();
     }
 
-    /// Adds a message, which replaces an older one that still waits.
+    /// Adds a message. It replaces an older message that is still waiting.
     pub fn put(&self, place: Place, message: Vec<u8>) -> Sent {
         let lane = self.lane(place.lane());
         let replaces = lane.lock().put(place, message);
@@ -162,7 +162,7 @@ impl Outbox {
         if replaces { Sent::Instead } else { Sent::Yes }
     }
 
-    /// Adds a request, unless too many requests wait.
+    /// Adds a request, unless too many requests are already waiting.
     pub fn ask(&self, ask: Ask) -> Sent {
         let lane = self.lane(Lane::Requests);
         let taken = lane.lock().ask(ask);
@@ -182,7 +182,8 @@ impl Outbox {
     }
 }
 
-/// Numbers of end points created by [`Outbox::id`] or by the threads themselves; lower numbers belong to the start.
+/// First numbers of the end points that [`Outbox::id`] creates, and of those that the threads create.
+/// Lower numbers are used at the start.
 const CALLERS_IDS: u32 = 1000;
 const COURIERS_IDS: u32 = 1_000_000;
 

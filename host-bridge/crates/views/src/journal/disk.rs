@@ -24,7 +24,7 @@ const QUEUE: usize = 8192;
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 /// If the messages in memory exceed this size, they are written earlier.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// Maximum waiting time for the end of writing.
+/// Maximum time to wait until writing has finished.
 const POLL: Duration = Duration::from_millis(50);
 
 /// The behaviour if the disk is slower than the session.

@@ -14,7 +14,7 @@ use super::gate::{self, Gate};
 
 /// Maximum number of connections. A browser opens up to six for files, and each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;
-/// Delay for the next connection if all places are taken.
+/// Delay before the next connection is accepted if all places are taken.
 const ROOM: Duration = Duration::from_millis(2);
 /// Maximum number of threads. It is larger because closed connections take some time to end.
 const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
@@ -78,7 +78,7 @@ fn other_port(address: &SocketAddr) -> u16 {
     address.port().checked_add(1).unwrap_or(super::DEFAULT_PORT)
 }
 
-/// Names of the service for error messages.
+/// The words that error messages use for the service.
 #[derive(Clone, Copy, Debug)]
 pub struct Name {
     /// The subject in "the page cannot be served".
@@ -169,7 +169,7 @@ impl Drop for Server {
     }
 }
 
-/// The place of one connection among the others.
+/// The state of one open connection.
 #[derive(Debug)]
 pub struct Seat {
     since: Instant,
@@ -190,7 +190,7 @@ impl Seat {
         self.heard();
     }
 
-    /// Records data from the other side. The connection thereby keeps its place.
+    /// Records that the other side has sent data, so that the connection keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
