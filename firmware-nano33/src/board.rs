@@ -6,12 +6,15 @@ use core::sync::atomic::Ordering;
 
 use embassy_sync::blocking_mutex::ThreadModeMutex;
 use embassy_sync::once_lock::OnceLock;
+use nano33_sensor::found::Kind;
 use shared_board::hand::CountHand;
 use shared_board::models::Runs;
-use shared_board::right::RightBoard;
+use shared_board::right::{Light, RightBoard};
+use shared_proto::message::{FaultKind, Status};
 
+use crate::link::Everywhere;
 use crate::sample::{AXES, SAMPLE_HZ};
-use crate::state::SENSOR_OK;
+use crate::state::{self, SENSOR_OK};
 use crate::{about, boards};
 
 /// The board's logic.
@@ -39,5 +42,21 @@ pub fn with<R>(act: impl FnOnce(&mut Board) -> R) -> R {
         board.set_board(boards::kind(about.sensor));
         board.set_about(about);
         act(&mut board)
+    })
+}
+
+/// A sensor was detected. The laptop is notified if the model cannot run on it.
+pub fn found(kind: Kind, axes: usize) {
+    about::found(kind, axes);
+    if !with(|board| board.model_can_run()) {
+        state::report(FaultKind::NoMagnetometer, axes as u32);
+    }
+}
+
+/// Sends the status. Returns the light for it.
+pub fn status(counted: Status) -> Light {
+    with(|board| {
+        board.status(counted, state::now_ms(), &mut Everywhere);
+        board.light()
     })
 }

@@ -1,25 +1,18 @@
 //! The receiving task passes the laptop's messages to the board and to the model store.
 //! The board and the store reply to these messages.
 
-use embassy_time::{Duration, Timer};
+use embassy_time::Timer;
 #[cfg(feature = "trouble")]
-use shared_board::images::{ImageStore, Then};
+use shared_board::images::ImageStore;
 use shared_board::models::{MappedFlash, ModelStore};
-#[cfg(feature = "trouble")]
-use shared_board::update::Source;
 use shared_proto::frame::parse_host;
 use shared_proto::message::HostMessage;
 
 use crate::link::INBOX;
+use crate::storage::PAUSE;
 #[cfg(feature = "trouble")]
-use crate::link::WayOut;
+use crate::update;
 use crate::{about, board, state, vibrate};
-
-/// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
-const PAUSE: Duration = Duration::from_millis(40);
-/// Time between the answer to an image's commit and the restart, so that the answer reaches the laptop.
-#[cfg(feature = "trouble")]
-const LAST_WORDS: Duration = Duration::from_millis(300);
 
 /// Answers the laptop's requests forever.
 pub async fn run<F: MappedFlash>(
@@ -43,17 +36,8 @@ pub async fn run<F: MappedFlash>(
         }
         if let Some(request) = request {
             #[cfg(feature = "trouble")]
-            {
-                let source = if link == WayOut::Ble { Source::Air } else { Source::Cable };
-                let pause = async || Timer::after(PAUSE).await;
-                match images.answer(&request, source, pause, &mut link).await {
-                    Then::Pass => {}
-                    Then::Stay => continue,
-                    Then::Restart => {
-                        Timer::after(LAST_WORDS).await;
-                        cortex_m::peripheral::SCB::sys_reset()
-                    }
-                }
+            if update::answer(&mut images, &request, &mut link).await {
+                continue;
             }
             if let axes @ 1.. = about::now().axes {
                 store.set_axes(axes);

@@ -1,22 +1,32 @@
-//! Firmware of the right hand. This file only starts and connects the tasks.
+//! Firmware of the right hand, and (feature `left`) of a left hand. This file only starts and connects the tasks.
 //! Samples flow through `sample -> classify -> board -> link`, and requests through `link -> control -> board`.
+//! In a left hand, `left::hand` replaces `classify`.
 //! The crate `shared_board` defines the board's messages and replies.
 #![no_std]
 #![no_main]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 
+#[cfg(not(feature = "left"))]
 mod about;
 mod awake;
-#[cfg(feature = "xiao")]
+#[cfg(all(feature = "xiao", not(feature = "left")))]
 mod battery;
+#[cfg(not(feature = "left"))]
 mod board;
 mod boards;
 mod bus;
+#[cfg(not(feature = "left"))]
 mod classify;
+#[cfg(not(feature = "left"))]
 mod control;
 #[cfg(not(feature = "radio"))]
+mod critical;
+#[cfg(not(feature = "radio"))]
 mod flash;
+#[cfg(feature = "left")]
+mod left;
 mod link;
+#[cfg(not(feature = "left"))]
 mod model;
 #[cfg(feature = "radio")]
 mod radio;
@@ -24,9 +34,15 @@ mod sample;
 mod state;
 mod storage;
 mod uart;
+#[cfg(feature = "trouble")]
+mod update;
 mod usb;
+#[cfg(not(feature = "left"))]
 mod vibrate;
 mod watch;
+
+#[cfg(feature = "left")]
+use left::{board, control};
 
 #[cfg(any(
     all(feature = "ble", feature = "bootloader"),
@@ -36,6 +52,8 @@ mod watch;
 compile_error!(
     "choose one: `--features bootloader` and `--features trouble` go with `--no-default-features`"
 );
+#[cfg(all(feature = "left", not(all(feature = "trouble", feature = "xiao"))))]
+compile_error!("`left` goes with `trouble,xiao`");
 #[cfg(all(feature = "xiao", feature = "bootloader"))]
 compile_error!("`xiao` goes with `ble` or `trouble`");
 #[cfg(not(any(feature = "ble", feature = "trouble", feature = "bootloader")))]
@@ -80,6 +98,7 @@ fn main() -> ! {
     // A bit of RESETREAS is cleared by writing 1 to it.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
+    #[cfg(not(feature = "left"))]
     about::started(reasons);
     // The flash cache reduces the number of flash reads and therefore the current.
     embassy_nrf::pac::NVMC.icachecnf().write(|w| w.set_cacheen(true));
@@ -98,10 +117,14 @@ fn main() -> ! {
     let spawn_common = move |spawner: embassy_executor::Spawner| {
         spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
         spawner.spawn(sample::run(bus).expect("spawned once"));
-        spawner.spawn(classify::run().expect("spawned once"));
         spawner.spawn(uart::run(uart).expect("spawned once"));
+        #[cfg(feature = "left")]
+        spawner.spawn(left::hand::run(parts.flex).expect("spawned once"));
+        #[cfg(not(feature = "left"))]
+        spawner.spawn(classify::run().expect("spawned once"));
+        #[cfg(not(feature = "left"))]
         spawner.spawn(vibrate::run(parts.vibration).expect("spawned once"));
-        #[cfg(feature = "xiao")]
+        #[cfg(all(feature = "xiao", not(feature = "left")))]
         spawner.spawn(battery::run(parts.battery).expect("spawned once"));
     };
     // SAFETY: taken once, here.
@@ -116,13 +139,13 @@ fn main() -> ! {
         state::BOOT_ID.store(radio.random(), core::sync::atomic::Ordering::Relaxed);
         let flash = radio.flash();
         awake::run(core.DCB, core.DWT, |spawner| {
-            let store = model::install(flash);
+            let kept = install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
             #[cfg(feature = "ble")]
-            spawner.spawn(run_control(store).expect("spawned once"));
+            spawner.spawn(run_control(kept).expect("spawned once"));
             #[cfg(feature = "trouble")]
-            spawner.spawn(run_control(store, ImageStore::new(storage::Region(flash))).expect("spawned once"));
+            spawner.spawn(run_control(kept, ImageStore::new(storage::Region(flash))).expect("spawned once"));
             radio.spawn(spawner, parts.usbd);
         })
     }
@@ -145,10 +168,10 @@ fn main() -> ! {
         state::BOOT_ID.store(rng.blocking_next_u32(), core::sync::atomic::Ordering::Relaxed);
         let flash = flash::Controller::new(parts.flash);
         awake::run(core.DCB, core.DWT, |spawner| {
-            let store = model::install(flash);
+            let kept = install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
-            spawner.spawn(run_control(store).expect("spawned once"));
+            spawner.spawn(run_control(kept).expect("spawned once"));
             spawner.spawn(run_usb(parts.usbd, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
         })
     }
@@ -159,19 +182,21 @@ type BoardFlash = radio::RadioFlash;
 #[cfg(not(feature = "radio"))]
 type BoardFlash = flash::Controller;
 
+#[cfg(feature = "left")]
+use left::board::{Kept, install};
+#[cfg(not(feature = "left"))]
+use model::{Kept, install};
+
 /// Answers the laptop's requests.
 #[cfg(feature = "trouble")]
 #[embassy_executor::task]
-async fn run_control(
-    store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>,
-    images: ImageStore<storage::Images<BoardFlash>>,
-) {
-    control::run(store, images).await
+async fn run_control(kept: Kept<BoardFlash>, images: ImageStore<storage::Images<BoardFlash>>) {
+    control::run(kept, images).await
 }
 
 /// Answers the laptop's requests.
 #[cfg(not(feature = "trouble"))]
 #[embassy_executor::task]
-async fn run_control(store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>) {
-    control::run(store).await
+async fn run_control(kept: Kept<BoardFlash>) {
+    control::run(kept).await
 }

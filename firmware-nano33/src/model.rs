@@ -21,8 +21,11 @@ struct Aligned<T: ?Sized>(T);
 
 static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/model.blob")));
 
+/// The store for received models.
+pub type Kept<F> = ModelStore<Slots<F>>;
+
 /// Creates the board with the model to run, and returns the store for received models.
-pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
+pub fn install<F: Flash>(flash: F) -> Kept<F> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
     // The store has checked a stored model, and build.rs checks the built-in model.

@@ -18,7 +18,7 @@ use shared_proto::message::FaultKind;
 
 use crate::bus::SensorBus;
 use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, SENSOR_ERRORS, SENSOR_OK};
-use crate::{about, board, boards};
+use crate::{board, boards};
 
 /// Samples per second.
 pub const SAMPLE_HZ: u64 = 100;
@@ -30,6 +30,7 @@ pub const AXES: usize = 9;
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
     /// Its number since start.
+    #[cfg(not(feature = "left"))]
     pub number: u32,
     /// Grid time of the sample, on the board's clock.
     pub board_time_ms: u32,
@@ -107,10 +108,7 @@ async fn attempt_once(bus: &mut SensorBus, batch: &mut Batch, next: &mut u64, at
         Ok(Err(error)) => return error,
         Err(_) => return ImuError::Bus(boards::SENSORS[0].address()),
     };
-    about::found(imu.kind(), imu.axes());
-    if !board::with(|board| board.model_can_run()) {
-        state::report(FaultKind::NoMagnetometer, imu.axes() as u32);
-    }
+    board::found(imu.kind(), imu.axes());
     match with_timeout(START_TIMEOUT, imu.start(&mut Delay)).await {
         Ok(Ok(())) => {
             *attempt = 0;
@@ -193,7 +191,12 @@ async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuEr
                     counts[..6].copy_from_slice(&set);
                     counts[6..].copy_from_slice(&batch.magnetometer);
                     let board_time_ms = (micros(tick_of(*next)) / 1000) as u32;
-                    let sample = Sample { number: *next as u32, board_time_ms, counts };
+                    let sample = Sample {
+                        #[cfg(not(feature = "left"))]
+                        number: *next as u32,
+                        board_time_ms,
+                        counts,
+                    };
                     if SAMPLES.try_send(Taken::Sample(sample)).is_err() {
                         DROPPED_SAMPLES.fetch_add(1, Ordering::Relaxed);
                     }

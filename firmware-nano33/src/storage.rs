@@ -1,10 +1,12 @@
 //! Defines the layout of the image's flash and stores received models in the two slots of `shared_board`.
 
+use embassy_time::Duration;
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use shared_board::models::{MappedFlash, StoredModel};
-use shared_board::slots::STORE_BYTES;
+use shared_board::models::MappedFlash;
+#[cfg(not(feature = "left"))]
+use shared_board::{models::StoredModel, slots::STORE_BYTES};
 
 #[cfg(feature = "trouble")]
 use crate::boards;
@@ -23,8 +25,19 @@ pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
 /// Address of slot B, which is followed by the journal of the image exchange.
 #[cfg(feature = "trouble")]
 pub const IMAGES_START: u32 = boards::BASE + shared_board::update::SLOT_B;
+/// Start of the last two pages of the model slots.
+/// A left hand has no models, and stores its calibration in these pages, away from the slots' headers.
+#[cfg(feature = "left")]
+const CALIBRATIONS_START: u32 = 0x000E_0000 - CALIBRATIONS_BYTES as u32;
+#[cfg(feature = "left")]
+const CALIBRATIONS_BYTES: usize = shared_board::eeprom_log::PAGES * PAGE_BYTES as usize;
+/// The log of the left hand's calibration.
+#[cfg(feature = "left")]
+pub type Calibrations<F> = Region<F, CALIBRATIONS_START, CALIBRATIONS_BYTES>;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
+/// Pause after the erasure of a page, during which the processor stops for 85 ms. The sensor's FIFO holds 134 ms.
+pub const PAUSE: Duration = Duration::from_millis(40);
 /// Maximum number of words per call of [`Flash::write`].
 const WORDS_AT_ONCE: usize = 32;
 
@@ -54,6 +67,7 @@ pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
 pub type Images<F> = Region<F, IMAGES_START, { shared_board::images::STORE_BYTES }>;
 
 /// The flash for the two model slots.
+#[cfg(not(feature = "left"))]
 pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;
 
 impl<F, const START: u32, const BYTES: usize> ErrorType for Region<F, START, BYTES> {
@@ -109,10 +123,12 @@ impl<F: Flash, const START: u32, const BYTES: usize> MappedFlash for Region<F, S
 }
 
 /// Returns the data of a stored model.
+#[cfg(not(feature = "left"))]
 pub fn blob(place: StoredModel) -> &'static [u8] {
     stored(place.offset(), place.len)
 }
 
+#[cfg(not(feature = "left"))]
 fn stored(offset: usize, len: usize) -> &'static [u8] {
     mapped(SLOTS_START + offset as u32, len.min(STORE_BYTES.saturating_sub(offset)))
 }

@@ -10,7 +10,7 @@ use shared_proto::message::{FaultKind, Status};
 
 use crate::awake::{Load, free_stack_bytes};
 use crate::board;
-use crate::link::{self, Everywhere};
+use crate::link;
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
 /// Pins of the board's LED for red, green and blue; a colour is on while its pin is low.
@@ -59,11 +59,7 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
             load_permille: load.permille(),
             ..Status::default()
         };
-        let light = board::with(|board| {
-            board.status(counted, state::now_ms(), &mut Everywhere);
-            board.light()
-        });
-        let light = match light {
+        let light = match board::status(counted) {
             Light::SensorGone => &mut led.red,
             Light::Recording => &mut led.blue,
             Light::Well => &mut led.green,

@@ -13,16 +13,15 @@
 //! All stored laptops then remain, and a new laptop is either stored or not.
 
 use crate::models::MappedFlash;
-use crate::slots::is_newer;
+use crate::pages::{self, Aligned, HEADER_BYTES, newest, word};
 use shared_dsp::right::network::crc32;
 
 /// Maximum number of stored laptops. A new laptop replaces the laptop that bonded longest ago.
 pub const REMEMBERED: usize = 4;
 /// Number of flash pages that a log occupies.
-pub const PAGES: usize = 2;
+pub const PAGES: usize = pages::PAGES;
 
 const MAGIC: u32 = u32::from_le_bytes(*b"BMB3");
-const HEADER_BYTES: usize = 16;
 const RECORD_BYTES: usize = 48;
 const CRC_AT: usize = RECORD_BYTES - 4;
 
@@ -124,7 +123,7 @@ impl<F: MappedFlash> BondLog<F> {
     /// Reads the stored laptops. The log occupies the flash's first [`PAGES`] pages.
     pub fn open(flash: F) -> Self {
         let laptops =
-            newest(flash.mapped(), F::ERASE_SIZE).map_or(Laptops::default(), |(_, page)| read(page));
+            newest(flash.mapped(), F::ERASE_SIZE, MAGIC).map_or(Laptops::default(), |(_, page)| read(page));
         Self { flash, laptops }
     }
 
@@ -159,7 +158,7 @@ impl<F: MappedFlash> BondLog<F> {
     /// Returns the place of the next record in the newest page, if there is room.
     /// This place follows the last record, even if that record is incomplete.
     fn room(&self) -> Option<usize> {
-        let (start, page) = newest(self.flash.mapped(), F::ERASE_SIZE)?;
+        let (start, page) = newest(self.flash.mapped(), F::ERASE_SIZE, MAGIC)?;
         let records = page.get(HEADER_BYTES..)?.chunks_exact(RECORD_BYTES);
         let total = records.len();
         let used = records.rev().position(|record| record.iter().any(|&b| b != 0xFF));
@@ -169,23 +168,12 @@ impl<F: MappedFlash> BondLog<F> {
 
     /// Copies the valid records to the page that is not the newest.
     async fn start_page(&mut self, laptops: &Laptops) -> Result<(), NotKept> {
-        let page = F::ERASE_SIZE;
-        let (start, sequence) = match newest(self.flash.mapped(), page) {
-            Some((0, bytes)) => (page, word(bytes, 4).unwrap_or(0).wrapping_add(1)),
-            Some((_, bytes)) => (0, word(bytes, 4).unwrap_or(0).wrapping_add(1)),
-            None => (0, 1),
-        };
-        self.flash.erase(start as u32, (start + page) as u32).await.map_err(|_| NotKept)?;
+        let (start, sequence) = pages::erase_next(&mut self.flash, MAGIC).await.map_err(|_| NotKept)?;
         for (i, bond) in laptops.iter().enumerate() {
             self.write_record(start + HEADER_BYTES + i * RECORD_BYTES, bond).await?;
         }
-        let mut numbers = Aligned([0; 8]);
-        numbers.0[..4].copy_from_slice(&sequence.to_le_bytes());
-        numbers.0[4..].copy_from_slice(&(!sequence).to_le_bytes());
-        self.flash.write(start as u32 + 4, &numbers.0).await.map_err(|_| NotKept)?;
-        // Once this word is written, the page is valid.
-        self.flash.write(start as u32, &Aligned(MAGIC.to_le_bytes()).0).await.map_err(|_| NotKept)?;
-        match newest(self.flash.mapped(), page) {
+        pages::finish(&mut self.flash, start, sequence, MAGIC).await.map_err(|_| NotKept)?;
+        match newest(self.flash.mapped(), F::ERASE_SIZE, MAGIC) {
             Some((at, bytes)) if at == start && read(bytes) == *laptops => Ok(()),
             _ => Err(NotKept),
         }
@@ -199,21 +187,6 @@ impl<F: MappedFlash> BondLog<F> {
     }
 }
 
-/// Returns the newest complete page, and where it begins.
-fn newest(store: &[u8], page_bytes: usize) -> Option<(usize, &[u8])> {
-    let mut best: Option<(usize, &[u8], u32)> = None;
-    for (i, page) in store.chunks_exact(page_bytes).take(PAGES).enumerate() {
-        let (Some(MAGIC), Some(sequence), Some(complement)) = (word(page, 0), word(page, 4), word(page, 8))
-        else {
-            continue;
-        };
-        if sequence == !complement && best.is_none_or(|(.., best)| is_newer(sequence, best)) {
-            best = Some((i * page_bytes, page, sequence));
-        }
-    }
-    best.map(|(start, page, _)| (start, page))
-}
-
 fn read(page: &[u8]) -> Laptops {
     let mut laptops = Laptops::default();
     for record in page.get(HEADER_BYTES..).unwrap_or_default().chunks_exact(RECORD_BYTES) {
@@ -223,11 +196,3 @@ fn read(page: &[u8]) -> Laptops {
     }
     laptops
 }
-
-fn word(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_le_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
-}
-
-/// Flash controllers write only complete words.
-#[repr(align(4))]
-struct Aligned<const N: usize>([u8; N]);

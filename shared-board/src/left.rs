@@ -140,6 +140,12 @@ impl<M: Eeprom> LeftBoard<M> {
     #[inline(never)]
     pub fn receive(&mut self, byte: u8, now_ms: u32, out: &mut impl FrameOut) {
         let Some(message) = self.decoder.push_left_request(byte) else { return };
+        self.answer(message, now_ms, out);
+    }
+
+    /// Processes a request, like [`LeftBoard::receive`]. Boards with several links decode the bytes of each link themselves.
+    #[inline]
+    pub fn answer(&mut self, message: LeftRequest, now_ms: u32, out: &mut impl FrameOut) {
         let (request, result) = match message {
             LeftRequest::HelloRequest => {
                 self.hello_owed = true;

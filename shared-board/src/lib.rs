@@ -56,6 +56,7 @@ extern crate std;
 
 pub mod bonds;
 pub mod calibration_store;
+pub mod eeprom_log;
 pub mod faults;
 pub mod guard;
 pub mod hand;
@@ -64,6 +65,7 @@ pub mod left;
 #[cfg(any(test, feature = "host"))]
 pub mod memory;
 pub mod models;
+pub(crate) mod pages;
 pub mod right;
 pub mod slots;
 pub mod swap;

@@ -14,7 +14,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use shared_dsp::right::features::{HOP, WINDOW};
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{Model, crc32};
-use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{Ack, AckResult, BoardBody, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 /// NOR flash that can also be read like memory, as in a microcontroller.
 ///
@@ -65,7 +65,21 @@ pub enum ModelRequest<'r> {
     },
 }
 
-impl ModelRequest<'_> {
+impl<'r> ModelRequest<'r> {
+    /// Returns the request in a laptop's message, if the message is about models or images.
+    pub fn of(message: &HostMessage<'r>) -> Option<Self> {
+        Some(match *message {
+            HostMessage::ModelBegin(begin) => Self::Begin(begin),
+            HostMessage::ModelChunk { request, offset, data } => {
+                Self::Chunk { request, offset, data: data.0 }
+            }
+            HostMessage::ModelCommit { request, crc32 } => Self::Commit { request, crc32 },
+            HostMessage::ImageBegin { request, size, crc32 } => Self::Image { request, size, crc32 },
+            HostMessage::ImageConfirm { request, crc32 } => Self::Confirm { request, crc32 },
+            _ => return None,
+        })
+    }
+
     /// Answers requests for a board that stores no models.
     pub fn refuse(&self, out: &mut impl FrameOut) {
         let (Self::Begin(ModelBegin { request, .. })

@@ -190,18 +190,14 @@ impl<H: Hand> RightBoard<H> {
                 (request, AckResult::Unsupported)
             }
             HostMessage::SetMode { request, mode } => (request, self.set_mode(mode, trusted)),
-            HostMessage::ModelBegin(begin) if trusted => return Some(ModelRequest::Begin(begin)),
-            HostMessage::ModelChunk { request, offset, data } if trusted => {
-                return Some(ModelRequest::Chunk { request, offset, data: data.0 });
-            }
-            HostMessage::ModelCommit { request, crc32 } if trusted => {
-                return Some(ModelRequest::Commit { request, crc32 });
-            }
-            HostMessage::ImageBegin { request, size, crc32 } if trusted => {
-                return Some(ModelRequest::Image { request, size, crc32 });
-            }
-            HostMessage::ImageConfirm { request, crc32 } if trusted => {
-                return Some(ModelRequest::Confirm { request, crc32 });
+            HostMessage::ModelBegin(_)
+            | HostMessage::ModelChunk { .. }
+            | HostMessage::ModelCommit { .. }
+            | HostMessage::ImageBegin { .. }
+            | HostMessage::ImageConfirm { .. }
+                if trusted =>
+            {
+                return ModelRequest::of(message);
             }
             HostMessage::ModelBegin(begin) => (begin.request, AckResult::NotBonded),
             HostMessage::ModelChunk { request, .. }

@@ -298,8 +298,11 @@ class Desk:
         await connection.encrypt()
         return {"encrypted": bool(connection.encryption)}
 
-    async def do_bonds(self, _order):
-        return [name for name, _ in await self.keys.get_all()]
+    async def do_bonds(self, order):
+        """With the board that is connected, or else with any."""
+        connection = self.connections.get(self.board(order))
+        address = str(connection.peer_address)[:17] if connection else ""
+        return [name for name, _ in await self.keys.get_all() if name.startswith(address)]
 
     async def do_forget(self, _order):
         for name, _ in await self.keys.get_all():

@@ -18,14 +18,15 @@ pub mod desk;
 #[cfg(all(unix, feature = "ble"))]
 pub mod bluez;
 
-/// Returns whether to run the tests of the image that has Bluetooth linked in.
-/// Its build takes minutes, so these tests run only in the long run.
+/// Returns whether to run the tests of the images that have Bluetooth linked in.
+/// The build of these images takes minutes, so the tests run only in the long run.
 /// They also run if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image.
 pub fn has_linked_image() -> bool {
     let has = is_full() || std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").is_some();
     if !has {
         println!(
-            "skipped: `cargo xtask test --full` builds the image `trouble`, or BIMANUAL_NANO33_TROUBLE_ELF names one"
+            "SKIPPED: tests of images with Bluetooth linked in run with `cargo xtask test --full`, \
+             or if BIMANUAL_NANO33_TROUBLE_ELF and BIMANUAL_XIAO_LEFT_ELF name them"
         );
     }
     has

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! voltages -> ATmega328P (simavr) -> serial bytes -------\
+//!             or nRF52840 (unicorn)  -> BLE
 //!                                                          bridge -> robot, 1 ms per step
 //! motion   -> nRF52840 (unicorn)  -> UART, USB, BLE -----/
 //! ```
@@ -16,15 +17,17 @@ use host_bridge::robot::Door as _;
 use host_bridge::robots::Stage;
 use host_bridge::safety::{Hand, State};
 use host_bridge::sim::Simulator;
+use shared_dsp::left::calibration::Calibration;
 use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 
 use crate::avr::image::path as left_image;
 use crate::avr::nano::{self, Nano, Voltages};
 use crate::nrf::air_host::AirHost;
 use crate::nrf::ble_host::BleHost;
-use crate::nrf::board::{Board, Boot};
+use crate::nrf::board::{Board, Boot, Kind};
 use crate::nrf::build::{Variant, image};
 use crate::nrf::controller::{Air, Controller};
+use crate::nrf::left_hand;
 use crate::nrf::lsm9ds1::Motion;
 use crate::nrf::time;
 use crate::nrf::usb_host::UsbHost;
@@ -208,13 +211,97 @@ impl Right {
     }
 }
 
+/// The readings of both flex sensors at a moment of the board's clock in seconds.
+pub type Flex = Box<dyn FnMut(f64) -> [f64; 2]>;
+
+/// A left hand on a XIAO without a cable.
+pub struct LeftAir {
+    /// The emulated board.
+    pub board: Board,
+    host: AirHost,
+    flex: Flex,
+}
+
+/// The time at which two boards without a cable are connected, in ms since both were powered.
+pub const BOTH_CONNECTED_MS: u64 = 10_000;
+
+/// Starts both hands without cables and connects them to one laptop at 15 ms, on the same air.
+/// Both functions receive the boards' clock in seconds at the desk's time 0.
+///
+/// # Panics
+/// Panics if the laptop is not connected to both by then.
+pub fn start_both_on_air<L: Motion + 'static, R: Motion + 'static>(
+    calibration: &Calibration,
+    left: impl FnOnce(f64) -> (L, Flex),
+    right: impl FnOnce(f64) -> R,
+) -> (LeftAir, Right) {
+    let start_s = BOTH_CONNECTED_MS as f64 / 1000.0;
+    let air = Air::start();
+    let start = |variant, kind, motion: Box<dyn Motion>, number| {
+        let image = image(variant);
+        let controller = Controller::new(&image.symbols, air.clone(), number);
+        let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);
+        board.answer_controller(controller);
+        board
+    };
+    let (motion, flex) = left(start_s);
+    let mut left = LeftAir {
+        board: start(Variant::XiaoLeft, Kind::Xiao, Box::new(motion), 1),
+        host: AirHost::default(),
+        flex,
+    };
+    left_hand::store(&mut left.board, calibration);
+    let mut board = start(Variant::Trouble, Kind::Nano33, Box::new(right(start_s)), 0);
+    left.run_until(time::ms(700));
+    board.run_ms(700);
+    // While one board is joined, the other one waits, and then catches up.
+    let mut host = AirHost::default();
+    host.join(&mut board, 15.0);
+    left.run_until(board.now());
+    left.host.join(&mut left.board, 15.0);
+    for ms in 1..=BOTH_CONNECTED_MS {
+        if board.now() < time::ms(ms) {
+            board.run_until(time::ms(ms));
+        }
+        left.run_until(time::ms(ms));
+    }
+    let mut right = Right { board, wire: Wire::Air(host), zero_cycle: time::ms(BOTH_CONNECTED_MS) };
+    assert!(right.is_connected() && left.board.is_connected(), "both are connected");
+    right.run_to(0);
+    left.run_to(0);
+    (left, right)
+}
+
+impl LeftAir {
+    /// Returns the board's clock in seconds at a moment of the desk's time.
+    pub fn seconds_at(&self, desk_ms: u64) -> f64 {
+        (BOTH_CONNECTED_MS + desk_ms) as f64 / 1000.0
+    }
+
+    fn run_until(&mut self, cycle: u64) {
+        while self.board.now() < cycle {
+            let seconds = self.board.seconds();
+            left_hand::set_flex(&mut self.board, (self.flex)(seconds));
+            let next = (self.board.now() + time::ms(1)).min(cycle);
+            self.board.run_until(next);
+        }
+    }
+
+    fn run_to(&mut self, desk_ms: u64) -> Vec<u8> {
+        self.run_until(time::ms(BOTH_CONNECTED_MS + desk_ms));
+        self.host.read(&mut self.board).into_iter().map(|(_, byte)| byte).collect()
+    }
+}
+
 /// Simulates a bad cable, which changes the bytes from a board and adds bytes on their way to the board.
 pub type Disturbance = Box<dyn FnMut(Hand, &mut Vec<u8>) -> Vec<u8>>;
 
 /// The desk with boards, laptop and robot.
 pub struct TwoHands {
-    /// The left board, if it takes part.
+    /// The left board with a cable, if it takes part.
     pub left: Option<Left>,
+    /// The left board without a cable, if it takes part.
+    pub left_air: Option<LeftAir>,
     /// The right board, if it takes part.
     pub right: Option<Right>,
     /// The laptop's bridge.
@@ -233,6 +320,7 @@ impl TwoHands {
     pub fn new(left: Option<Left>, right: Option<Right>) -> Self {
         Self {
             left,
+            left_air: None,
             right,
             bridge: Bridge::new(MotionMap::default()),
             robot: Stage::bare().simulated(&Config::default()),
@@ -240,6 +328,11 @@ impl TwoHands {
             disturbance: None,
             now_ms: 0,
         }
+    }
+
+    /// Creates a desk with both hands over Bluetooth.
+    pub fn on_air((left, right): (LeftAir, Right)) -> Self {
+        Self { left_air: Some(left), ..Self::new(None, Some(right)) }
     }
 
     /// Returns the desk's time.
@@ -252,7 +345,10 @@ impl TwoHands {
     /// # Panics
     /// Panics if there is no left board.
     pub fn left_seconds(&self) -> f64 {
-        self.left.as_ref().expect("a left board").seconds_at(self.now_ms)
+        match (&self.left, &self.left_air) {
+            (Some(left), _) => left.seconds_at(self.now_ms),
+            (None, left) => left.as_ref().expect("a left board").seconds_at(self.now_ms),
+        }
     }
 
     /// Advances by one millisecond: the boards run, the bridge reads and answers, and the robot moves.
@@ -261,7 +357,10 @@ impl TwoHands {
         let now_ms = self.now_ms;
         for hand in [Hand::Left, Hand::Right] {
             let bytes = match hand {
-                Hand::Left => self.left.as_mut().map(|left| left.run_to(now_ms)),
+                Hand::Left => match (&mut self.left, &mut self.left_air) {
+                    (Some(left), _) => Some(left.run_to(now_ms)),
+                    (None, left) => left.as_mut().map(|left| left.run_to(now_ms)),
+                },
                 Hand::Right => self.right.as_mut().map(|right| right.run_to(now_ms)),
             };
             let Some(mut bytes) = bytes else { continue };
@@ -287,7 +386,10 @@ impl TwoHands {
 
     fn next_message(&mut self, hand: Hand) -> Option<shared_proto::message::HostMessage<'static>> {
         let connected = match hand {
-            Hand::Left => self.left.as_ref().is_some_and(|left| left.cable),
+            Hand::Left => {
+                self.left.as_ref().is_some_and(|left| left.cable)
+                    || self.left_air.as_ref().is_some_and(|left| left.board.is_connected())
+            }
             Hand::Right => self.right.as_ref().is_some_and(Right::is_connected),
         };
         // A laptop cannot write to a port that has disappeared.
@@ -300,6 +402,11 @@ impl TwoHands {
     fn send(&mut self, hand: Hand, bytes: &[u8]) {
         match (hand, &mut self.left, &mut self.right) {
             (Hand::Left, Some(left), _) if left.cable => left.nano.send(bytes),
+            (Hand::Left, None, _) => {
+                if let Some(left) = &mut self.left_air {
+                    left.host.send(&mut left.board, bytes);
+                }
+            }
             (Hand::Right, _, Some(right)) => right.send(bytes),
             _ => {}
         }

@@ -6,7 +6,9 @@ use shared_dsp::right::aligned::AlignedWindow;
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::MAX_LABELS;
 use tests::nrf::board::Kind;
+use tests::nrf::build::Variant;
 use tests::nrf::image::Image;
+use tests::nrf::left_hand::set_flex;
 use tests::nrf::lsm9ds1::{Motion, Still};
 use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{install, random_model};
@@ -262,6 +264,82 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
             // The test computes the maximum saving on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
+        }
+    }
+}
+
+/// Cost of an image with Bluetooth while it is connected at rest.
+struct Whole {
+    flash: u32,
+    ram: u32,
+    awake: f64,
+    /// Share of the radio's library. It is a model of S140, and unknown where the library is linked in.
+    library: Option<f64>,
+}
+
+/// Measures eight seconds of a connected board.
+fn whole(mut session: RightRig, variant: Variant) -> Whole {
+    session.run_ms(12_000);
+    let s140 = |session: &mut RightRig| session.board.softdevice().own_cycles;
+    let has_s140 = variant == Variant::Ble;
+    let before = if has_s140 { s140(&mut session) } else { 0 };
+    let (now, awake) = (session.board.now(), session.board.awake());
+    session.run_ms(8000);
+    let all = (session.board.now() - now) as f64;
+    let image = session.board.image();
+    let flash = image.flash_bytes;
+    let free = session.heard.statuses.last().expect("a status").free_stack_bytes;
+    // Everything between the start of RAM and the words that outlive a restart, apart from stack that was never used.
+    // S140's own RAM counts, too.
+    let ram = image.symbols["_kept"] - 0x2000_0000 - free;
+    Whole {
+        flash,
+        ram,
+        awake: (session.board.awake() - awake) as f64 / all,
+        library: has_s140.then(|| (s140(&mut session) - before) as f64 / all),
+    }
+}
+
+/// The images with Bluetooth linked in beside the one with S140, each connected at an interval of 15 ms and at rest.
+/// The emulator does not run Nordic's linked controller, so its share of the time awake is missing there.
+#[test]
+fn images_with_bluetooth_linked_in_take_at_most_256_kb_of_flash_and_64_kb_of_ram() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    println!("charge per hour is the mean current in mA, as mAh, without the radio's current");
+    println!(
+        "{:<12}{:>9}{:>8}{:>9}{:>9}{:>8}{:>9}{:>10}",
+        "", "flash B", "RAM B", "awake %", "library", "sensor", "cpu", "per hour"
+    );
+    let joined = |mut rig: RightRig| {
+        set_flex(&mut rig.board, [5600.0; 2]);
+        rig.run_ms(700);
+        rig.join(15.0);
+        rig
+    };
+    for (name, variant, sensor_ma) in [
+        ("ble", Variant::Ble, 4.6),
+        ("trouble", Variant::Trouble, 4.6),
+        ("xiao-left", Variant::XiaoLeft, 0.9),
+    ] {
+        let session = match variant {
+            Variant::Ble => RightRig::ble_of_kind(Kind::Nano33, Box::new(Still)),
+            Variant::XiaoLeft => joined(RightRig::left_air(Box::new(Wild))),
+            _ => joined(RightRig::air(Kind::Nano33, Box::new(Still))),
+        };
+        let Whole { flash, ram, awake, library } = whole(session, variant);
+        let cpu_ma = awake * AWAKE_MA + ASLEEP_MA;
+        println!(
+            "{name:<12}{flash:>9}{ram:>8}{:>9.2}{:>9}{sensor_ma:>8.2}{cpu_ma:>9.3}{:>6.2} mAh",
+            100.0 * awake,
+            library.map_or("not run".to_owned(), |share| format!("{:.2}", 100.0 * share)),
+            cpu_ma + sensor_ma
+        );
+        assert!(awake <= 0.05, "{name}: awake {awake}");
+        if variant != Variant::Ble {
+            assert!(flash <= 256 * 1024, "{name}: {flash} B of flash");
+            assert!(ram <= 64 * 1024, "{name}: {ram} B of RAM");
         }
     }
 }

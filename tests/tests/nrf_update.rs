@@ -13,7 +13,7 @@ use host_bridge::upload::{Stage, Upload};
 use shared_board::update::{JOURNAL, NEW_IMAGE, SIGNATURE_BYTES, SLOT_A, SLOT_B, Trailer};
 use shared_dsp::right::network::crc32;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
-use shared_proto::message::{AckResult, BoardMessage, HostMessage};
+use shared_proto::message::{AckResult, Board, BoardMessage, HostMessage};
 use tests::nrf::board::Kind;
 use tests::nrf::build::{Variant, image};
 use tests::nrf::image::Image;
@@ -32,8 +32,12 @@ fn key() -> KeyPair {
     KeyPair::from_seed(Seed::new([7; 32]))
 }
 
-/// Creates the update file of an image, and replaces the version in the image by this version.
+/// Creates the update file of a Nano's image, and replaces the version in the image by this version.
 fn file(image: &Image, version: &str) -> Vec<u8> {
+    file_for(image, Board::RightNano33, version)
+}
+
+fn file_for(image: &Image, board: Board, version: &str) -> Vec<u8> {
     let mut bytes = image.binary();
     let places: Vec<usize> =
         (0..bytes.len() - OLD.len()).filter(|&at| bytes[at..].starts_with(OLD.as_bytes())).collect();
@@ -43,7 +47,7 @@ fn file(image: &Image, version: &str) -> Vec<u8> {
     }
     let mut text = [0; 16];
     text[..version.len()].copy_from_slice(version.as_bytes());
-    Trailer { origin: BASE + SLOT_A, board: 1, version: text }.file(&bytes)
+    Trailer { origin: image.vector_table, board: board.into(), version: text }.file(&bytes)
 }
 
 fn sign(file: &mut [u8], key: &KeyPair) {
@@ -111,6 +115,17 @@ impl Desk {
             desk.set_up_pin();
         }
         desk
+    }
+
+    /// A left hand with a second stage and the old image.
+    fn left() -> Self {
+        let linked = image(Variant::XiaoLeft);
+        let [old, new] = [OLD, NEW].map(|version| file_for(&linked, Board::LeftXiao, version));
+        let whole = linked.behind(image(Variant::XiaoStage), None);
+        let mut rig = RightRig::air_of(whole, Kind::Xiao, Box::new(Still));
+        rig.run_ms(700);
+        let (usb, decoder) = (UsbHost::default(), Decoder::new());
+        Self { rig, usb, decoder, versions: Vec::new(), acks: Vec::new(), old, new }
     }
 
     /// Starts a board with the new image in slot B and a request to install it.
@@ -263,7 +278,18 @@ fn over_the_cable_old_becomes_new_and_old_again() {
     if !tests::has_linked_image() {
         return;
     }
-    let mut desk = Desk::new();
+    old_becomes_new_and_old_again(Desk::new());
+}
+
+#[test]
+fn over_the_cable_a_left_hand_s_image_becomes_new_and_old_again() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    old_becomes_new_and_old_again(Desk::left());
+}
+
+fn old_becomes_new_and_old_again(mut desk: Desk) {
     desk.plug_in();
     assert_eq!(desk.version(), OLD);
     for (file, version) in [(desk.new.clone(), NEW), (desk.old.clone(), OLD)] {

@@ -11,16 +11,19 @@ use host_bridge::demo::Demo;
 use host_bridge::robot::Door as _;
 use host_bridge::robots::Stage;
 use host_bridge::safety::{HaltReason, Hand as Which};
+use host_bridge::script::Script;
 use models::synth::{Motion, Segment, Wearer as RightWearer, session};
+use shared_dsp::left::calibration::Calibration;
 use tests::avr::image;
-use tests::avr::nano::Nano;
+use tests::avr::nano::{CYCLES_PER_MS, Nano, PinInput, Voltages as _};
 use tests::avr::recorded::{Recorded, calibrated};
 use tests::avr::session::BLANK;
-use tests::avr::wearer::{Hand, Sensors, Wearer};
+use tests::avr::wearer::{Hand, SUPPLY_MV, Sensors, Wearer};
 use tests::is_full;
-use tests::nrf::lsm9ds1::{Replay, Still};
+use tests::nrf::left_hand::{Recorded as LeftRecorded, acceleration};
+use tests::nrf::lsm9ds1::{Motion as Moves, Replay, Still};
 use tests::nrf::recordings::rows;
-use tests::two_hands::{Cable, Disturbance, Left, Right, TwoHands, Wire};
+use tests::two_hands::{Cable, Disturbance, Flex, Left, Right, TwoHands, Wire, start_both_on_air};
 
 /// Returns a board without calibration and the nominal left hand that controls it.
 fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
@@ -36,7 +39,6 @@ fn play_demo(link: Cable) {
     let whole = is_full() || link == Cable::Uart;
     let Demo { left, right, script } = Demo::bundled();
     let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
-    let expect = &script.expect;
     let mut nano = calibrated(&script.calibration);
     let samples: Vec<[u16; 5]> =
         left.samples.iter().map(|(_, counts)| counts.as_array().map(|sum| sum / 8)).collect();
@@ -44,7 +46,17 @@ fn play_demo(link: Cable) {
     let motion = |start| Replay { rows: rows(&right), interval: 0.01, start };
     let mut desk = TwoHands::new(Some(Left::new(nano)), Some(Right::start(link, motion)));
     desk.run_ms(seconds * 1000);
+    compare_with_script(&mut desk, &script, whole, &format!("{link:?}"));
+    let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
+    assert_eq!(left.nano.resets(), 0);
+    if link != Cable::Ble {
+        assert_eq!(right.board.soc().nvic.vector_table, 0x10000, "the image has moved the table to its own");
+    }
+}
 
+/// Compares what has happened on the desk with what the script of a session expects.
+fn compare_with_script(desk: &mut TwoHands, script: &Script, whole: bool, links: &str) {
+    let expect = &script.expect;
     let (mut gestures, mut poses, mut halts, mut releases) = (vec![], vec![], vec![], 0);
     let mut together = 0;
     for event in &desk.log {
@@ -60,7 +72,7 @@ fn play_demo(link: Cable) {
     let here = desk.robot.picture().odometry;
     let cap = desk.bridge.caps().linear_m_s;
     let place = &expect.base;
-    println!("{:<12}{:<76}in virtual time over {link:?}", "", "as scripted");
+    println!("{:<12}{:<76}in virtual time over {links}", "", "as scripted");
     println!("{:<12}{:<76}{}", "gestures", expect.gestures.join(" "), gestures.join(" "));
     println!("{:<12}{:<76}{}", "arm poses", expect.poses.join(" "), poses.join(" "));
     let (scripted, got) = (
@@ -83,11 +95,6 @@ fn play_demo(link: Cable) {
         assert!(here.path_m > 1.0 && together > 0, "{here:?}");
     }
     assert_eq!(desk.robot.picture().timeouts, 0);
-    let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
-    assert_eq!(left.nano.resets(), 0);
-    if link != Cable::Ble {
-        assert_eq!(right.board.soc().nvic.vector_table, 0x10000, "the image has moved the table to its own");
-    }
     for hand in [Which::Left, Which::Right] {
         let counters = desk.bridge.link(hand).counters();
         // The port was opened in the middle of a frame.
@@ -110,12 +117,113 @@ fn the_bundled_session_on_both_emulated_boards_over_bluetooth_comes_to_what_its_
     play_demo(Cable::Ble);
 }
 
+/// Both hands over Bluetooth: the left one on a XIAO, whose sensors give the same readings as the left hand's Nano had.
 #[test]
-fn the_bundled_session_with_the_right_hand_over_bumbles_link_comes_to_what_its_script_says() {
+fn the_bundled_session_with_both_hands_over_bumbles_link_comes_to_what_its_script_says() {
     if !tests::has_linked_image() {
         return;
     }
-    play_demo(Cable::Air);
+    let Demo { left, right, script } = Demo::bundled();
+    let whole = is_full();
+    let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
+    let samples: Vec<_> = left.samples.iter().map(|(_, counts)| *counts).collect();
+    let wear_left = |start| {
+        let recorded = LeftRecorded::new(samples, start);
+        let motion = recorded.motion();
+        (motion, Box::new(move |seconds| recorded.flex(seconds)) as Flex)
+    };
+    let wear_right = |start| Replay { rows: rows(&right), interval: 0.01, start };
+    let mut desk = TwoHands::on_air(start_both_on_air(&script.calibration.into(), wear_left, wear_right));
+    let mut to_arm_ms = Vec::new();
+    let (mut seen, mut deciding) = (0, None);
+    while desk.now_ms() < seconds * 1000 {
+        desk.step();
+        let right = desk.right.as_ref().unwrap();
+        for event in &desk.log[seen..] {
+            if let EventKind::Gesture { outcome: GestureOutcome::Started(_), window_end_board_ms, .. } =
+                &event.kind
+            {
+                deciding = Some(sampled_at(right, *window_end_board_ms));
+            }
+        }
+        seen = desk.log.len();
+        if desk.arm_moves()
+            && let Some(sample) = deciding.take()
+        {
+            to_arm_ms.push(passed_ms(right.cycle_at(desk.now_ms()) - sample));
+        }
+    }
+    compare_with_script(&mut desk, &script, whole, "Bluetooth, both hands");
+    to_arm_ms.sort_by(f64::total_cmp);
+    println!(
+        "{} motions from rest, from the sample that decides to the arm: median {:.1}, worst {:.1} ms at 15 ms (modelled)",
+        to_arm_ms.len(),
+        median(&to_arm_ms),
+        to_arm_ms.last().unwrap()
+    );
+    assert!(*to_arm_ms.last().unwrap() <= 50.0);
+    for board in [&mut desk.left_air.as_mut().unwrap().board, &mut desk.right.as_mut().unwrap().board] {
+        assert_eq!(board.resets, [4], "the one restart is the first start's");
+    }
+}
+
+/// A left hand out of reach, and then the right one: the robot halts, and moves again only after neutral.
+#[test]
+fn either_hand_out_of_reach_over_bumbles_link_stops_base_and_arm() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(34));
+    let pins = Rc::new(RefCell::new(wearer));
+    let left = |_: f64| {
+        let flex = {
+            let pins = Rc::clone(&pins);
+            move |seconds: f64| [3, 4].map(|pin| pin_reading(&pins, pin, seconds))
+        };
+        (WornLeft(Rc::clone(&pins)), Box::new(flex) as Flex)
+    };
+    let desk = TwoHands::on_air(start_both_on_air(&Calibration::DEFAULT, left, strokes(2)));
+    let mut steered = Steered { desk, hand };
+
+    steered.both_move();
+    steered.desk.left_air.as_mut().unwrap().board.controller().in_range = false;
+    say("left hand (bumble) out of reach", steered.halts(Which::Left));
+    steered.desk.run_ms(500);
+    steered.desk.left_air.as_mut().unwrap().board.controller().in_range = true;
+    steered.needs_neutral("left hand (bumble) back");
+
+    steered.both_move();
+    steered.desk.right.as_mut().unwrap().board.controller().in_range = false;
+    say("right hand (bumble) out of reach", steered.halts(Which::Right));
+}
+
+/// The reading that a left hand's Nano would have at this pin.
+fn pin_reading(pins: &RefCell<Wearer>, pin: u8, seconds: f64) -> f64 {
+    let cycle = (seconds * 1000.0 * CYCLES_PER_MS as f64) as u64;
+    match pins.borrow_mut().at(pin, cycle) {
+        PinInput::Millivolts(mv) => mv / SUPPLY_MV * 8192.0,
+        other => panic!("{other:?} at pin {pin}"),
+    }
+}
+
+/// A simulated left hand, worn with a XIAO.
+struct WornLeft(Rc<RefCell<Wearer>>);
+
+impl Moves for WornLeft {
+    fn at(&self, seconds: f64) -> [f64; 9] {
+        acceleration([0, 1, 2].map(|pin| pin_reading(&self.0, pin, seconds)))
+    }
+}
+
+/// Cycle at which the right board's sensor measured the last sample of a window, which ends at this time of its clock.
+fn sampled_at(right: &Right, window_end_board_ms: u32) -> u64 {
+    let number = (f64::from(window_end_board_ms) / 10.0).round() as u64;
+    right.board.clock_start() + tests::nrf::time::cycle_of_tick(number * 32_768 / 100)
+}
+
+/// Converts cycles since a sample's grid time to ms since it was measured, which is earlier (sensor/src/grid.rs).
+fn passed_ms(cycles: u64) -> f64 {
+    cycles as f64 / tests::nrf::time::ms(1) as f64 + 1100.0 / 238.0
 }
 
 fn median(sorted: &[f64]) -> f64 {
@@ -179,20 +287,14 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                     others.push(format!("{}: {label} for {meant}", wearer.name));
                 }
                 if matches!(outcome, GestureOutcome::Started(_)) {
-                    // Time of the last sample in the window on the grid, according to the emulated clock.
-                    let number = (f64::from(*window_end_board_ms) / 10.0).round() as u64;
-                    let tick = number * 32_768 / 100;
-                    deciding = Some(right.board.clock_start() + tests::nrf::time::cycle_of_tick(tick));
+                    deciding = Some(sampled_at(right, *window_end_board_ms));
                 }
             }
             seen = desk.log.len();
             if let Some(sample) = deciding
                 && desk.arm_moves()
             {
-                let cycles = right.cycle_at(now_ms) - sample;
-                // The sensor measured the sample this long before the sample's grid time (sensor/src/grid.rs).
-                let delay_ms = 1100.0 / 238.0;
-                to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
+                to_arm_ms.push(passed_ms(right.cycle_at(now_ms) - sample));
                 deciding = None;
                 // The next gesture gets a new robot at rest.
                 desk.robot = Stage::bare().simulated(&Config::default());
@@ -299,22 +401,6 @@ impl Steered {
 
 fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
     println!("{what:<36} halt after {halted_ms:>3} ms, at rest after {rested_ms:>4} ms, then needs neutral");
-}
-
-#[test]
-fn a_laptop_that_hears_nothing_more_over_bumbles_link_stops_base_and_arm() {
-    if !tests::has_linked_image() {
-        return;
-    }
-    let mut steered = Steered::new(Cable::Air, 1);
-    steered.both_move();
-    // The board is out of range. Both sides of the link wait for the supervision timeout, but the robot does not.
-    steered.desk.right.as_mut().unwrap().board.controller().in_range = false;
-    say("right hand (bumble) out of reach", steered.halts(Which::Right));
-    assert!(steered.desk.right.as_ref().unwrap().board.is_connected());
-    steered.desk.run_ms(500);
-    steered.desk.right.as_mut().unwrap().board.controller().in_range = true;
-    steered.needs_neutral("right hand (bumble) back");
 }
 
 #[test]

@@ -1,17 +1,18 @@
-//! `cargo xtask firmware nano33`: builds the variants of the right hand's image, and prints the size of each part.
+//! `cargo xtask firmware nano33`: builds the images for boards with an nRF52840, and prints the size of each part.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
+use shared_proto::message::Board;
 
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
 use crate::{is_full, root, second_stage, target_dir, tools, uf2};
 
 /// A variant's name, and the arguments with which cargo builds it.
-const VARIANTS: [(&str, &[&str], &str); 5] = [
+const VARIANTS: [(&str, &[&str], &str); 6] = [
     ("ble", &[], "Nano 33 BLE Sense and Rev2, behind S140 at 0x27000 (needs an SWD probe)"),
     (
         "bootloader",
@@ -32,6 +33,11 @@ const VARIANTS: [(&str, &[&str], &str); 5] = [
         "xiao-trouble",
         &["--no-default-features", "--features", "trouble,xiao"],
         "XIAO nRF52840 Sense, with Bluetooth linked in, by drag and drop",
+    ),
+    (
+        "xiao-left",
+        &["--no-default-features", "--features", "trouble,xiao,left"],
+        "XIAO nRF52840 Sense as a left hand, with Bluetooth linked in, by drag and drop",
     ),
 ];
 
@@ -82,6 +88,20 @@ fn is_xiao(name: &str) -> bool {
     name.starts_with("xiao")
 }
 
+/// The images with Bluetooth linked in are those that a second stage starts.
+fn has_second_stage(options: &[&str]) -> bool {
+    options.iter().any(|option| option.contains("trouble"))
+}
+
+/// Returns the board that takes an update of this variant.
+fn board(name: &str) -> Board {
+    match name {
+        "xiao-left" => Board::LeftXiao,
+        name if is_xiao(name) => Board::RightXiao,
+        _ => Board::RightNano33,
+    }
+}
+
 /// Builds all variants, or only the named one, and prints their sizes.
 /// `--key` gives the file with the public key. Boards use this key to check updates over Bluetooth.
 ///
@@ -109,9 +129,9 @@ pub fn run(args: &[&str]) -> Result<()> {
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
-        if name.contains("trouble") {
+        if has_second_stage(options) {
             let stage = second_stage::build(&image, is_xiao(name))?;
-            let files = second_stage::make_files(&image, &stage, is_xiao(name), key)?;
+            let files = second_stage::make_files(&image, &stage, board(name), key)?;
             println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
         } else if is_xiao(name) {
             objcopy(&image, "binary", &image.with_extension("bin"))?;
@@ -125,16 +145,24 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
+/// Returns whether this run builds and tests the images with Bluetooth linked in.
+/// Their build and their tests take minutes, so only `--full` has them.
+/// To have them in every run, return `true` here.
+pub fn tests_have_linked_images() -> bool {
+    is_full()
+}
+
 /// Builds the variants that the tests run.
-/// The images with Bluetooth linked in take minutes to build, so only `--full` has them.
+/// Only `--full` builds `xiao-trouble`, whose code is also in the other variants.
 ///
 /// # Errors
 /// As [`run`].
 pub fn run_for_tests() -> Result<()> {
-    if is_full() {
-        return run(&[]);
-    }
-    VARIANTS.iter().filter(|(name, ..)| !name.contains("trouble")).try_for_each(|(name, ..)| run(&[name]))
+    VARIANTS
+        .iter()
+        .filter(|(_, options, _)| tests_have_linked_images() || !has_second_stage(options))
+        .filter(|(name, ..)| is_full() || *name != "xiao-trouble")
+        .try_for_each(|(name, ..)| run(&[name]))
 }
 
 /// Returns a cargo command for the images.
@@ -142,7 +170,7 @@ pub fn run_for_tests() -> Result<()> {
 /// The generic code of these images is optimised for size.
 fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     let mut command = cargo(Target::Thumb, subcommand)?;
-    if options.iter().any(|option| option.contains("trouble")) {
+    if has_second_stage(options) {
         tools::ensure_where_known(&tools::C_FOR_BOARDS)?;
         command.args(["--config", "profile.release.package.firmware-nano33.opt-level='z'"]);
     }

@@ -35,8 +35,8 @@ usage: cargo xtask VERB
                                 the faults whose name contains WORD
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
-  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble] [--key FILE.pub]
-                                the right hand's images: flash and RAM per part
+  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble|xiao-left] [--key FILE.pub]
+                                the right hand's images, and the left hand's for a XIAO: flash and RAM per part
   paper [--quick] [--out FILE] [--html FILE]
                                 the paper's tables beside what is measured here, in under 30 minutes; --html one page
                                 with plots

@@ -171,6 +171,8 @@ fn images(folder: &Path) -> Result<()> {
         ("trouble", "update", "nano33-trouble"),
         ("xiao-trouble", "update", "xiao-trouble"),
         ("xiao-trouble", "uf2", "xiao-trouble"),
+        ("xiao-left", "update", "xiao-left"),
+        ("xiao-left", "uf2", "xiao-left"),
         ("xiao", "uf2", "xiao"),
     ] {
         let file = firmware_nano33::image(variant).with_extension(end);

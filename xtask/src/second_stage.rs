@@ -38,7 +38,7 @@ pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
 ///
 /// # Errors
 /// Fails if a part is too large, or if the key file does not contain a key.
-pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>) -> Result<[PathBuf; 2]> {
+pub fn make_files(image: &Path, stage: &Path, board: Board, key: Option<&Path>) -> Result<[PathBuf; 2]> {
     let raw = |elf: &Path| -> Result<Vec<u8>> {
         let file = elf.with_extension("raw");
         firmware_nano33::objcopy(elf, "binary", &file)?;
@@ -52,11 +52,7 @@ pub fn make_files(image: &Path, stage: &Path, is_xiao: bool, key: Option<&Path>)
         image.display(),
         linked.len()
     );
-    let (board, base) = if is_xiao {
-        (Board::RightXiao, firmware_nano33::XIAO_ORIGIN)
-    } else {
-        (Board::RightNano33, NANO33_ORIGIN)
-    };
+    let base = if board == Board::RightNano33 { NANO33_ORIGIN } else { firmware_nano33::XIAO_ORIGIN };
     let text = version()?;
     let mut version = [0; 16];
     version.get_mut(..text.len()).context("the version is too long")?.copy_from_slice(text.as_bytes());

@@ -2,7 +2,8 @@
 //!
 //! | | UUID |
 //! |---|---|
-//! | service | `b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33` |
+//! | service of a right hand | `b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33` |
+//! | service of a left hand | `b1a40011-…` |
 //! | frames to the laptop (notify) | `b1a40002-…` |
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
@@ -38,6 +39,10 @@ pub const STRANGER: Duration = Duration::from_secs(10);
 /// For this long after a start, a laptop may bond even if another laptop is bonded.
 pub const PAIRING: Duration = Duration::from_secs(120);
 /// Name of the board in Bluetooth advertisements.
-pub const NAME: &str = "bimanual-right";
+pub const NAME: &str = if cfg!(feature = "left") { "bimanual-left" } else { "bimanual-right" };
 /// UUID of the service, little-endian as in an advertisement.
-pub const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
+pub const SERVICE_UUID: [u8; 16] = if cfg!(feature = "left") {
+    0xb1a4_0011_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes()
+} else {
+    0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes()
+};

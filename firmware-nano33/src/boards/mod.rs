@@ -17,15 +17,17 @@ pub use nano33::BASE;
 pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
 #[cfg(all(feature = "trouble", feature = "xiao"))]
 pub use xiao::BASE;
+#[cfg(all(feature = "xiao", not(feature = "left")))]
+pub use xiao::kind;
 #[cfg(feature = "xiao")]
-pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
+pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, parts};
 
 use embassy_nrf::Peri;
 use embassy_nrf::gpio::{AnyPin, Level, Output, OutputDrive};
 use embassy_nrf::peripherals::{USBD, WDT};
 
 use crate::bus::SensorBus;
-use crate::{uart, vibrate, watch};
+use crate::{uart, watch};
 
 /// Names of the board in the USB descriptors.
 pub struct UsbNames {
@@ -44,9 +46,13 @@ pub struct Parts {
     /// The light.
     pub led: watch::Led,
     /// Pin and peripheral for an optional vibration motor.
-    pub vibration: vibrate::Parts,
+    #[cfg(not(feature = "left"))]
+    pub vibration: crate::vibrate::Parts,
+    /// The flex sensors.
+    #[cfg(feature = "left")]
+    pub flex: crate::left::hand::Parts,
     /// The battery's divider.
-    #[cfg(feature = "xiao")]
+    #[cfg(all(feature = "xiao", not(feature = "left")))]
     pub battery: crate::battery::Parts,
     /// The watchdog.
     pub watchdog: Peri<'static, WDT>,

@@ -6,11 +6,12 @@
 
 use embassy_nrf::{Peripherals, saadc};
 use nano33_sensor::found::Kind;
+#[cfg(not(feature = "left"))]
 use shared_proto::message::{Board, Sensor};
 
 use super::{Parts, UsbNames, off};
 use crate::bus::{SensorBus, SensorPins};
-use crate::{uart, vibrate, watch};
+use crate::{uart, watch};
 
 /// Its sensor.
 pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
@@ -23,9 +24,14 @@ pub const BASE: u32 = 0x0002_7000;
 pub const START_MS: u64 = 50;
 
 /// Seeed's USB ids for a program on this board.
-pub const USB: UsbNames = UsbNames { ids: (0x2886, 0x8045), product: "bimanual right hand (XIAO)" };
+pub const USB: UsbNames = UsbNames { ids: (0x2886, 0x8045), product: PRODUCT };
+#[cfg(not(feature = "left"))]
+const PRODUCT: &str = "bimanual right hand (XIAO)";
+#[cfg(feature = "left")]
+const PRODUCT: &str = "bimanual left hand (XIAO)";
 
 /// Whatever its sensor.
+#[cfg(not(feature = "left"))]
 pub fn kind(_: Sensor) -> Board {
     Board::RightXiao
 }
@@ -51,8 +57,18 @@ pub fn parts(p: Peripherals) -> Parts {
             tx: p.P1_11.into(),
         },
         led: watch::Led { red: off(p.P0_26.into()), green: off(p.P0_30.into()), blue: off(p.P0_06.into()) },
+        // D0 and D1, each between a flex sensor to 3.3 V and 22 kΩ to ground.
+        #[cfg(feature = "left")]
+        flex: crate::left::hand::Parts {
+            converter: p.SAADC,
+            index: saadc::Input::degrade_saadc(p.P0_02),
+            middle: saadc::Input::degrade_saadc(p.P0_03),
+            battery_low: p.P0_14.into(),
+        },
         // D0.
-        vibration: vibrate::Parts { pwm: p.PWM1, pin: p.P0_02.into() },
+        #[cfg(not(feature = "left"))]
+        vibration: crate::vibrate::Parts { pwm: p.PWM1, pin: p.P0_02.into() },
+        #[cfg(not(feature = "left"))]
         battery: crate::battery::Parts {
             converter: p.SAADC,
             middle: saadc::Input::degrade_saadc(p.P0_31),

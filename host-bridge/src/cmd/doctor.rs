@@ -60,10 +60,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Ok(model) = ModelFile::bundled() {
         println!("bundled model {:08x} ({})", crc32(model.blob()), model.name());
     }
-    let settings = settings(&config);
     let reports: Vec<Report> = std::thread::scope(|scope| {
         let examine = |(port, hand): &(String, Hand)| {
             let (port, hand) = (port.clone(), *hand);
+            let settings = settings(&config, hand);
             scope.spawn(move || examine(&port, hand, settings, args.seconds))
         };
         let threads: Vec<_> = ports.iter().map(examine).collect();
@@ -104,6 +104,11 @@ struct Heard {
     frames: (u32, u32),
     closed: Option<String>,
     restarts: u32,
+    /// Strength of the radio signal when the board was found.
+    signal_dbm: Option<i16>,
+    /// When the newest state arrived, and when the examination ended.
+    newest_ms: Option<u64>,
+    end_ms: u64,
 }
 
 fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Report {
@@ -148,6 +153,9 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         frames: (0, 0),
         closed: None,
         restarts: 0,
+        signal_dbm: None,
+        newest_ms: None,
+        end_ms: 0,
     };
     let mut meet = false;
     while talk.now_ms() < until_ms {
@@ -164,10 +172,12 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         match talk.next(20) {
             Some((at_ms, Said::Left(s))) => {
                 heard.survey.state(s.sequence, s.board_time_ms, at_ms);
+                heard.newest_ms = Some(at_ms);
                 heard.health |= s.health;
             }
             Some((at_ms, Said::Right { sequence, board_time_ms, health, .. })) => {
                 heard.survey.state(sequence, board_time_ms, at_ms);
+                heard.newest_ms = Some(at_ms);
                 // The first window after a start always has a gap.
                 heard.health = health;
             }
@@ -196,6 +206,8 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         }
     }
     heard.frames = talk.frames();
+    heard.signal_dbm = talk.signal_dbm();
+    heard.end_ms = talk.now_ms();
     heard
 }
 
@@ -229,6 +241,12 @@ fn lines(heard: &Heard) -> Vec<String> {
     if let Some((median_ms, worst_ms)) = survey.round_trip_ms() {
         lines.push(format!("latency: ping and back {median_ms} ms, at worst {worst_ms} ms"));
     }
+    if let Some(dbm) = heard.signal_dbm {
+        let age = heard.newest_ms.map_or("no state".to_owned(), |at_ms| {
+            format!("newest state {} ms old", heard.end_ms.saturating_sub(at_ms))
+        });
+        lines.push(format!("Bluetooth: {dbm} dBm when found; {age}"));
+    }
     if let Some(status) = heard.status {
         lines.push(format!(
             "up {:.0} s, load {:.1} %, free stack {} B, {} samples dropped, {} sensor errors, {} bad frames",
@@ -245,6 +263,8 @@ fn lines(heard: &Heard) -> Vec<String> {
 
 /// Maximum drift of a board with a crystal in parts per million; a larger one is reported.
 const CRYSTAL_DRIFT_PPM: u32 = 500;
+/// Below this signal, packets are often lost.
+const WEAK_DBM: i16 = -85;
 /// Tolerance for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;
 
@@ -287,7 +307,8 @@ fn made_of(board: Board, about: &About) -> String {
 
 fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);
-    let (state_hz, drift_ppm) = if left { (50.0, RESONATOR_DRIFT_PPM) } else { (12.5, CRYSTAL_DRIFT_PPM) };
+    let state_hz = if left { 50.0 } else { 12.5 };
+    let drift_ppm = if heard.who.board == Board::LeftNano { RESONATOR_DRIFT_PPM } else { CRYSTAL_DRIFT_PPM };
     let mut advice = match &heard.closed {
         // Measurements across an interruption are not meaningful.
         Some(why) => vec![format!("the link broke meanwhile: {why}; then ask again")],
@@ -302,6 +323,11 @@ fn advice(heard: &Heard) -> Vec<String> {
     }
     if heard.frames.1 > 1 {
         advice.push(format!("{} damaged frames: check the cable, use 115200 baud", heard.frames.1));
+    }
+    if let Some(dbm) = heard.signal_dbm
+        && dbm < WEAK_DBM
+    {
+        advice.push(format!("a weak signal ({dbm} dBm): bring the board nearer, and nothing metal between"));
     }
     advice.extend(doubt::reasons(heard.health).into_iter().map(str::to_owned));
     for fault in &heard.faults {

@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Ok(found) => {
             let none = found.is_empty();
             asked.extend(found);
-            none.then(|| "no right hand is in reach".to_owned())
+            none.then(|| "no hand is in reach".to_owned())
         }
         Err(problem) => Some(problem),
     };

@@ -16,10 +16,10 @@ pub fn read_config(file: Option<&Path>) -> Result<Config> {
     Config::parse(&text).with_context(about)
 }
 
-/// Returns the settings of serial ports.
-pub fn settings(config: &Config) -> SerialSettings {
+/// Returns the settings of a hand's port.
+pub fn settings(config: &Config, hand: Hand) -> SerialSettings {
     let Ports { baud, settle_ms, allow_unbonded, .. } = config.ports;
-    SerialSettings { baud, settle_ms, allow_unbonded }
+    SerialSettings { baud, settle_ms, allow_unbonded, hand: Some(hand) }
 }
 
 /// Returns the port of a hand: the requested port, or otherwise the port in the configuration.
@@ -65,6 +65,6 @@ impl PortOptions {
     /// Returns the port of this hand and its settings.
     pub fn resolve(&self, hand: Hand) -> Result<(String, SerialSettings)> {
         let config = read_config(self.config.as_deref())?;
-        Ok((port_of(hand, self.port.as_deref(), &config)?, settings(&config)))
+        Ok((port_of(hand, self.port.as_deref(), &config)?, settings(&config, hand)))
     }
 }

@@ -48,8 +48,8 @@ pub struct Args {
 /// The options that select hands and robot, also used by `record --session`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct HandArgs {
-    /// Port of the left hand's board (tilt and bends for the base), or `keyboard`
-    #[arg(long, value_name = "PORT|keyboard")]
+    /// Port of the left hand's board (tilt and bends for the base), `ble[:NAME]`, or `keyboard`
+    #[arg(long, value_name = "PORT|ble[:NAME]|keyboard")]
     left: Option<String>,
     /// Port of the right hand's board (gestures for the arm), `ble[:NAME]`, or `keyboard`
     #[arg(long, value_name = "PORT|ble[:NAME]|keyboard")]
@@ -165,7 +165,8 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         );
     }
     ensure!(
-        left == KEYBOARD || left != right,
+        // Left and right hands advertise different services, so `ble` alone names one board of each kind.
+        left == KEYBOARD || left == "ble" || left != right,
         "{left}: both hands cannot be on the same port; `host-bridge list` shows the ports"
     );
     for port in [&left, &right] {
@@ -211,8 +212,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
-        (inputs[hand] == HandInput::Board)
-            .then(|| BoardLink::start(hand, port, settings(&config), Arc::clone(&clock), sender.clone()))
+        (inputs[hand] == HandInput::Board).then(|| {
+            BoardLink::start(hand, port, settings(&config, hand), Arc::clone(&clock), sender.clone())
+        })
     };
     let links = PerHand { left: open(Hand::Left, &left), right: open(Hand::Right, &right) };
     let over_air = PerHand::of(|hand| links[hand].as_ref().is_some_and(|link| is_ble(link.port())));

@@ -1,4 +1,4 @@
-//! `host-bridge update`: replaces the firmware image of the right hand's board. No debug probe is needed.
+//! `host-bridge update`: replaces the firmware image of a board with an nRF52840. No debug probe is needed.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -27,7 +27,7 @@ const SINCE_MINOR: u8 = HostMessage::ImageConfirm { request: 0, crc32: 0 }.row()
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// The new image (`nano33-trouble.update` or `xiao-trouble.update`)
+    /// The new image (`nano33-trouble.update`, `xiao-trouble.update` or `xiao-left.update`)
     #[arg(value_name = "FILE", required_unless_present = "new_key")]
     file: Option<PathBuf>,
     #[command(flatten)]
@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(key) = &args.key {
         sign(&mut file, &secret_key(key)?);
     }
-    let (port, settings) = args.port.resolve(Hand::Right)?;
+    let (port, settings) = args.port.resolve(Board::from(trailer.board).hand().unwrap_or(Hand::Right))?;
     let is_signed = file[file.len() - SIGNATURE_BYTES..].iter().any(|&byte| byte != 0);
     ensure!(
         is_signed || !is_ble(&port),
@@ -271,7 +271,7 @@ mod tests {
         };
         assert_eq!(refused(Board::RightNano33, 5), None);
         assert_eq!(refused(Board::RightNano33Rev2, 6), None);
-        for board in [Board::RightXiao, Board::LeftNano] {
+        for board in [Board::RightXiao, Board::LeftXiao, Board::LeftNano] {
             assert!(refused(board, 5).unwrap().contains("choose the file for this board"));
         }
         assert!(refused(Board::RightNano33, 4).unwrap().contains("press reset twice"));

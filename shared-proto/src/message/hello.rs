@@ -21,6 +21,8 @@ open_list! {
         RightReplay = 4,
         /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which recognises gestures.
         RightXiao = 5,
+        /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which reports tilts and bends.
+        LeftXiao = 6,
     }
 }
 
@@ -28,7 +30,7 @@ impl Board {
     /// Returns the hand that uses this kind of board, if the kind is known.
     pub const fn hand(self) -> Option<Hand> {
         match self {
-            Self::LeftNano | Self::LeftReplay => Some(Hand::Left),
+            Self::LeftNano | Self::LeftXiao | Self::LeftReplay => Some(Hand::Left),
             Self::RightNano33 | Self::RightNano33Rev2 | Self::RightXiao | Self::RightReplay => {
                 Some(Hand::Right)
             }
@@ -40,7 +42,9 @@ impl Board {
     pub const fn folder(self) -> Option<&'static str> {
         match self {
             Self::LeftNano => Some("firmware-nano-avr/"),
-            Self::RightNano33 | Self::RightNano33Rev2 | Self::RightXiao => Some("firmware-nano33/"),
+            Self::RightNano33 | Self::RightNano33Rev2 | Self::RightXiao | Self::LeftXiao => {
+                Some("firmware-nano33/")
+            }
             Self::LeftReplay | Self::RightReplay | Self::Unknown(_) => None,
         }
     }
@@ -53,6 +57,7 @@ impl fmt::Display for Board {
             Self::RightNano33 => "the right hand (Nano 33 BLE Sense)",
             Self::RightNano33Rev2 => "the right hand (Nano 33 BLE Sense Rev2)",
             Self::RightXiao => "the right hand (XIAO nRF52840 Sense)",
+            Self::LeftXiao => "the left hand (XIAO nRF52840 Sense)",
             Self::LeftReplay => "the recorded left hand",
             Self::RightReplay => "the recorded right hand",
             Self::Unknown(number) => return write!(f, "a board of unknown kind {number}"),

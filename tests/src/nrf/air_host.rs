@@ -30,9 +30,11 @@ impl Default for AirHost {
 impl AirHost {
     /// Returns the bytes notified since the last call, each with the cycle of its arrival.
     pub fn read(&mut self, board: &mut Board) -> Vec<(u64, u8)> {
+        let number = board.controller().number();
         let air = board.controller().air();
         let new = &air.log[self.taken..];
-        let bytes = new.iter().filter_map(|(at, said)| Some((*at, said["notified"].as_str()?)));
+        let ours = new.iter().filter(|(_, said)| said["board"] == number);
+        let bytes = ours.filter_map(|(at, said)| Some((*at, said["notified"].as_str()?)));
         let read = bytes.flat_map(|(at, hex)| decode(hex).into_iter().map(move |byte| (at, byte))).collect();
         self.taken = air.log.len();
         read

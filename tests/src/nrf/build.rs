@@ -18,11 +18,15 @@ pub enum Variant {
     Trouble,
     /// The second stage of the `trouble` image.
     Stage,
+    /// A left hand's image for a XIAO nRF52840 Sense, with Bluetooth linked in.
+    XiaoLeft,
+    /// The second stage of that image.
+    XiaoStage,
 }
 
 /// Returns the image of a variant, built by `cargo xtask firmware nano33`.
-/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF` and
-/// `BIMANUAL_XIAO_ELF` select other images.
+/// The variables `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`, `BIMANUAL_NANO33_TROUBLE_ELF`,
+/// `BIMANUAL_XIAO_ELF` and `BIMANUAL_XIAO_LEFT_ELF` select other images.
 /// `cargo xtask test` uses them to select images that are already built.
 ///
 /// # Panics
@@ -36,13 +40,16 @@ fn path(variant: Variant) -> PathBuf {
     static BLE: OnceLock<PathBuf> = OnceLock::new();
     static XIAO: OnceLock<PathBuf> = OnceLock::new();
     static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
+    static XIAO_LEFT: OnceLock<PathBuf> = OnceLock::new();
     let (cell, given, name) = match variant {
         Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF", "bootloader"),
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF", "ble"),
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF", "xiao"),
         Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF", "trouble"),
-        // The second stage is built together with the image.
+        Variant::XiaoLeft => (&XIAO_LEFT, "BIMANUAL_XIAO_LEFT_ELF", "xiao-left"),
+        // A second stage is built together with its image.
         Variant::Stage => return path(Variant::Trouble).with_file_name("nano33-trouble-stage"),
+        Variant::XiaoStage => return path(Variant::XiaoLeft).with_file_name("nano33-xiao-left-stage"),
     };
     cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(name), PathBuf::from)).clone()
 }

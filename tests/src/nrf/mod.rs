@@ -17,6 +17,7 @@ pub mod flash;
 pub mod gpio;
 pub mod i2c;
 pub mod image;
+pub mod left_hand;
 pub mod lsm6ds3;
 pub mod lsm9ds1;
 pub mod memory;

@@ -1,7 +1,9 @@
 //! A laptop at the emulated board's serial port or Bluetooth, which sends requests and receives messages.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
-use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
+use shared_proto::message::{
+    About, Ack, Board as BoardKind, BoardMessage, Fault, Hello, HostMessage, LeftState, Status,
+};
 
 use super::air_host::AirHost;
 use super::ble_host::BleHost;
@@ -40,10 +42,14 @@ pub struct Right {
 pub struct Heard {
     /// Boot ids and model ids from hello messages.
     pub hellos: Vec<(u32, u32)>,
+    /// The kind of board in the newest hello message.
+    pub kind: Option<BoardKind>,
     /// The firmware versions in the hello messages that were received.
     pub versions: Vec<String>,
     /// States of the hand.
     pub states: Vec<Right>,
+    /// States of a left hand, each with the cycle at which its frame was complete.
+    pub lefts: Vec<(u64, LeftState)>,
     /// Counters from status messages.
     pub statuses: Vec<Status>,
     /// Fault reports.
@@ -126,6 +132,13 @@ impl RightRig {
     /// Bumble simulates the radio and the laptop, which does nothing yet.
     pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
         Self::air_of(image(Variant::Trouble), kind, motion)
+    }
+
+    /// Starts a session over Bluetooth with a left hand, whose second stage starts the image.
+    /// [`set_flex`](super::left_hand::set_flex) sets its flex sensors.
+    pub fn left_air(motion: Box<dyn Motion>) -> Self {
+        let image = image(Variant::XiaoLeft).behind(image(Variant::XiaoStage), None);
+        Self::air_of(image, Kind::Xiao, motion)
     }
 
     /// Starts a session over Bluetooth with this image.
@@ -245,10 +258,12 @@ impl Heard {
     fn push(&mut self, decoder: &mut Decoder<BOARD_FRAME_MAX>, at: u64, byte: u8) {
         let Some(payload) = decoder.push(byte) else { return };
         match parse_board(payload).expect("a message of this version") {
-            BoardMessage::Hello(Hello { boot_id, model_id, firmware, .. }) => {
+            BoardMessage::Hello(Hello { boot_id, model_id, board, firmware, .. }) => {
+                self.kind = Some(board);
                 self.hellos.push((boot_id, model_id));
                 self.versions.push(firmware.to_string());
             }
+            BoardMessage::Left(left) => self.lefts.push((at, left)),
             BoardMessage::Right(r) => self.states.push(Right {
                 at,
                 sequence: r.sequence,
@@ -269,7 +284,7 @@ impl Heard {
                 self.raw.push((raw.first_sample, counts));
             }
             BoardMessage::About(about) => self.about = Some(about),
-            BoardMessage::ModelInfo(_) | BoardMessage::Left(_) | BoardMessage::RawAdc(_) => {}
+            BoardMessage::ModelInfo(_) | BoardMessage::RawAdc(_) => {}
         }
     }
 }

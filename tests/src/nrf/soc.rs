@@ -103,6 +103,8 @@ pub struct Soc {
     pub ports: [Port; 2],
     /// The sensor bus with its devices.
     pub bus: Bus,
+    /// The number of this chip among those of a test, which is part of its own address.
+    pub number: u8,
     d1_is_open: bool,
     wiring: Wiring,
     /// Registers that only store their values, with their addresses.
@@ -144,6 +146,7 @@ impl Soc {
             ports: Default::default(),
             bus: Bus::new(sensor),
             d1_is_open: false,
+            number: 0,
             wiring,
             others: Default::default(),
             due: u64::MAX,
@@ -262,7 +265,7 @@ impl Soc {
                 // These are DEVICEID and DEVICEADDR.
                 0x060 => 0x1234_5678,
                 0x064 => 0x9ABC_DEF0,
-                0x0A4 => 0x5566_7788,
+                0x0A4 => 0x5566_7788 + u32::from(self.number),
                 0x0A8 => 0x1122_C344,
                 _ => u32::MAX,
             },

@@ -45,7 +45,8 @@ pub async fn written() -> Option<Payload> {
     WRITTEN.receive().await
 }
 
-#[gatt_service(uuid = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33")]
+#[cfg_attr(not(feature = "left"), gatt_service(uuid = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33"))]
+#[cfg_attr(feature = "left", gatt_service(uuid = "b1a40011-6d61-4e75-a1b2-5c3d9e7f0a33"))]
 struct HandService {
     #[characteristic(uuid = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33", notify, permissions(encrypted))]
     out: Payload,

@@ -230,6 +230,11 @@ impl Talk {
         self.link.port()
     }
 
+    /// Strength of the radio signal in dBm when the board was found, if it is behind Bluetooth.
+    pub fn signal_dbm(&self) -> Option<i16> {
+        self.link.signal_dbm()
+    }
+
     /// Returns the time on the clock of the events.
     pub fn now_ms(&self) -> u64 {
         self.clock.now_ms()

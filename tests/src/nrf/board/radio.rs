@@ -10,6 +10,7 @@ impl Board {
         for address in controller.addresses() {
             world.blocks[address as usize / 2] = ANSWERED;
         }
+        world.soc.number = controller.number();
         world.soc.controller = Some(Box::new(controller));
         world.soc.settle();
     }

@@ -174,6 +174,11 @@ impl Controller {
         self.link.as_ref().map(|link| (link.octets, link.fast))
     }
 
+    /// Returns the board's number on its air.
+    pub fn number(&self) -> u8 {
+        self.index
+    }
+
     /// Sends a fragment of an L2CAP packet to the board. Unlike bumble, some laptops could send any fragment.
     pub fn inject(&mut self, fragment: &[u8], starts: bool) {
         let Some(link) = &mut self.link else { return };
@@ -206,7 +211,8 @@ impl Controller {
 
     /// Tells the laptop to perform an action.
     /// Returns the number under which [`Air::log`] will contain the outcome.
-    pub fn order(&mut self, order: serde_json::Value, soc: &mut Soc) -> u64 {
+    pub fn order(&mut self, mut order: serde_json::Value, soc: &mut Soc) -> u64 {
+        order["board"] = self.index.into();
         let number = self.air().order(soc.now, order);
         self.take_in(soc);
         number
@@ -389,7 +395,9 @@ impl Controller {
         let link = self.link.as_ref().map(|link| link.next_event.min(link.lost_at()));
         let air = Some(self.air().due).filter(|&due| due < u64::MAX);
         let clock = self.clock_wanted.filter(|_| soc.power.crystal).map(|_| soc.now);
-        [link, air, clock, self.slot.due()].into_iter().flatten().min()
+        // Another board's packets have made bumble say something to this one.
+        let inbox = (!self.air().inbox[usize::from(self.index)].is_empty()).then_some(soc.now);
+        [link, air, clock, self.slot.due(), inbox].into_iter().flatten().min()
     }
 
     /// Performs all actions that are due by this time.
@@ -397,8 +405,8 @@ impl Controller {
         let air_is_due = self.air().due <= now;
         if air_is_due {
             self.air().ask(Ask::Packets, self.index, now, &[]);
-            self.take_in(soc);
         }
+        self.take_in(soc);
         if soc.power.crystal
             && let Some(call_back) = self.clock_wanted.take()
             && call_back != 0

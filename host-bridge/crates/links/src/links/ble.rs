@@ -1,5 +1,6 @@
-//! Connects to the right hand over Bluetooth Low Energy.
+//! Connects to a hand over Bluetooth Low Energy.
 //! The link finds the board by its service, and reconnects.
+//! Left and right hands have different services, so the link never connects to the other hand.
 //!
 //! btleplug handles the system's Bluetooth (on Linux, BlueZ over D-Bus).
 //! The frames form two byte streams: notifications from the board, and writes to the board.
@@ -9,6 +10,9 @@
 //! A device that merely advertises therefore cannot impersonate a board.
 //! With `allow_unbonded`, any device in range could impersonate a board;
 //! `Config::restriction` then limits the session.
+
+mod advice;
+mod bonds;
 
 use std::cell::Cell;
 use std::future::Future;
@@ -22,13 +26,19 @@ use btleplug::api::{
 };
 use btleplug::platform::{Adapter, Manager, Peripheral};
 use futures::StreamExt as _;
+use shared_words::{Hand, PerHand};
 use tokio::sync::mpsc;
 use uuid::Uuid;
 
-use super::{Clock, EventSender, LinkEvent, News, PortAbout};
+use self::advice::{how_to_pair, off, trouble, unbonded};
+use self::bonds::Bonds;
+use super::{Clock, EventSender, LinkEvent, News, PortAbout, SerialSettings};
 
-/// The board's service, as defined in `firmware-nano33/src/ble.rs`.
-pub const SERVICE: Uuid = Uuid::from_u128(0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33);
+/// The services of a left and of a right hand, as defined in `firmware-nano33/radio/src/lib.rs`.
+pub const SERVICES: PerHand<Uuid> = PerHand {
+    left: Uuid::from_u128(0xb1a4_0011_6d61_4e75_a1b2_5c3d_9e7f_0a33),
+    right: Uuid::from_u128(0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33),
+};
 /// Frames from the board (notify).
 pub const FROM_BOARD: Uuid = Uuid::from_u128(0xb1a4_0002_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 /// Frames to the board (write).
@@ -62,40 +72,49 @@ type Outgoing = Arc<Mutex<Option<mpsc::Sender<Vec<u8>>>>>;
 pub struct BleLink {
     port: String,
     outgoing: Outgoing,
+    signal: Arc<Mutex<Option<i16>>>,
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl BleLink {
     /// Starts the thread, which reports everything to `events`, marked with `link`.
-    /// `port` is `ble` for the nearest board, or `ble:` with a name or an address.
+    /// `port` is `ble` for the nearest board of the settings' hand, or `ble:` with a name or an address.
     /// The board must be bonded unless `allow_unbonded` is set.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
-        allow_unbonded: bool,
+        settings: SerialSettings,
         clock: Arc<dyn Clock>,
         events: EventSender<I>,
     ) -> Self {
         let outgoing = Arc::new(Mutex::new(None));
+        let signal = Arc::new(Mutex::new(None));
         let ended = Arc::new(AtomicBool::new(false));
         let name = port.strip_prefix("ble:").filter(|name| !name.is_empty()).map(str::to_owned);
         let radio = Radio {
             link,
             name,
-            allow_unbonded,
+            hand: settings.hand,
+            allow_unbonded: settings.allow_unbonded,
             clock,
             outgoing: Arc::clone(&outgoing),
+            signal: Arc::clone(&signal),
             ended: Arc::clone(&ended),
             events,
         };
         let thread = Some(std::thread::spawn(move || radio.run()));
-        BleLink { port: port.to_owned(), outgoing, ended, thread }
+        BleLink { port: port.to_owned(), outgoing, signal, ended, thread }
     }
 
     /// `ble` or `ble:NAME`.
     pub fn port(&self) -> &str {
         &self.port
+    }
+
+    /// Strength of the signal in dBm when the board was found. The system tells none during a connection.
+    pub fn signal_dbm(&self) -> Option<i16> {
+        *lock(&self.signal)
     }
 
     /// Returns whether frames can be sent now.
@@ -123,6 +142,11 @@ fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Returns the services of these hands.
+fn services(hand: Option<Hand>) -> Vec<Uuid> {
+    hand.map_or_else(|| vec![SERVICES.left, SERVICES.right], |hand| vec![SERVICES[hand]])
+}
+
 /// Searches for boards that advertise now, for the given time. Returns them as `ble:NAME`.
 ///
 /// # Errors
@@ -130,15 +154,18 @@ fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     runtime()?.block_on(async {
         let (_session, adapter) = adapter().await?;
-        scan(&adapter).await?;
+        scan(&adapter, None).await?;
         tokio::time::sleep(patience).await;
-        let found = candidates(&adapter).await?;
+        let found = candidates(&adapter, None).await?;
         let _ = adapter.stop_scan().await;
         let is_unique = |name: &str| found.iter().filter(|seen| seen.name == name).count() == 1;
         let about = |seen: &Seen| PortAbout {
             name: format!("ble:{}", if is_unique(&seen.name) { &seen.name } else { &seen.address }),
             about: match seen.rssi_dbm {
-                Some(dbm) => format!("Bluetooth {}, {dbm} dBm", seen.address),
+                Some(dbm) => {
+                    let seconds = patience.as_secs();
+                    format!("Bluetooth {}, {dbm} dBm, heard in the last {seconds} s", seen.address)
+                }
                 None => format!("Bluetooth {}", seen.address),
             },
             is_usb: false,
@@ -156,9 +183,11 @@ fn runtime() -> Result<tokio::runtime::Runtime, String> {
 struct Radio<I> {
     link: I,
     name: Option<String>,
+    hand: Option<Hand>,
     allow_unbonded: bool,
     clock: Arc<dyn Clock>,
     outgoing: Outgoing,
+    signal: Arc<Mutex<Option<i16>>>,
     ended: Arc<AtomicBool>,
     events: EventSender<I>,
 }
@@ -231,7 +260,8 @@ impl<I: Copy> Radio<I> {
         let (_session, adapter) = adapter().await?;
         let board = self.find(&adapter).await?;
         let name = board.name;
-        let (input, output) = within(CONNECT, connect(&board.peripheral, &name)).await.unwrap_or_else(|| {
+        *lock(&self.signal) = board.rssi_dbm;
+        let (input, output) = within(CONNECT, connect(&board.peripheral, &name, self.hand)).await.unwrap_or_else(|| {
             Err(format!("{name} (Bluetooth) does not let itself be connected; is it near, and not connected elsewhere?"))
         })?;
         let peripheral = board.peripheral;
@@ -259,12 +289,12 @@ impl<I: Copy> Radio<I> {
 
     /// Finds the requested board as soon as the board is in range.
     async fn find(&self, adapter: &Adapter) -> Result<Seen, String> {
-        scan(adapter).await?;
+        scan(adapter, self.hand).await?;
         let bonds = Bonds::open().await?;
         let mut looks = 0;
         let found = within(SEARCH, async {
             loop {
-                let found = candidates(adapter).await?;
+                let found = candidates(adapter, self.hand).await?;
                 let wanted = found.into_iter().filter(|seen| seen.is(self.name.as_deref()));
                 let bonded = bonds.addresses().await?;
                 let (ours, strange): (Vec<Seen>, Vec<Seen>) =
@@ -276,7 +306,7 @@ impl<I: Copy> Radio<I> {
                 }
                 looks += 1;
                 if let Some(stranger) = strange.first().filter(|_| looks > LOOKS_FOR_BONDED) {
-                    return Err(unbonded(stranger));
+                    return Err(unbonded(&stranger.name, &stranger.address));
                 }
                 if adapter.adapter_state().await.is_ok_and(|state| state == CentralState::PoweredOff) {
                     return Err(off());
@@ -287,9 +317,13 @@ impl<I: Copy> Radio<I> {
         let found = found.await;
         let _ = adapter.stop_scan().await;
         found.unwrap_or_else(|| {
-            let what = self.name.as_deref().unwrap_or("no right hand");
+            let hand = self.hand.map_or(String::new(), |hand| format!("{hand} "));
+            let what = match &self.name {
+                Some(name) => format!("{name} is not in reach as a {hand}hand"),
+                None => format!("no {hand}hand is in reach"),
+            };
             Err(format!(
-                "Bluetooth: {what} is not in reach; is the board on, with the firmware that has Bluetooth, and not \
+                "Bluetooth: {what}; is the board on, with the firmware that has Bluetooth, and not \
                  connected elsewhere? `host-bridge list` shows who is there"
             ))
         })
@@ -323,9 +357,8 @@ async fn write(
                 let refused = ["paired", "uthenti", "ncrypt", "ermi"].iter().any(|word| text.contains(word));
                 return refused.then(|| {
                     format!(
-                        "{name} (Bluetooth) takes nothing from a laptop that is not paired: pair it once in the system's \
-                         settings, or with `bluetoothctl pair {}` ({text})",
-                        board.address()
+                        "{name} (Bluetooth) takes nothing from a laptop that is not paired: {} ({text})",
+                        how_to_pair(&board.address().to_string())
                     )
                 });
             }
@@ -346,63 +379,19 @@ async fn watch(adapter: &Adapter, board: &Peripheral) {
 }
 
 /// Returns the two characteristics of a connected board.
-async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Characteristic), String> {
+async fn connect(
+    board: &Peripheral,
+    name: &str,
+    hand: Option<Hand>,
+) -> Result<(Characteristic, Characteristic), String> {
     board.connect().await.map_err(|error| trouble(&error))?;
     board.discover_services().await.map_err(|error| trouble(&error))?;
     let all: Vec<Characteristic> = board.services().into_iter().flat_map(|s| s.characteristics).collect();
-    let find = |uuid| all.iter().find(|c| c.uuid == uuid && c.service_uuid == SERVICE).cloned();
+    let services = services(hand);
+    let find = |uuid| all.iter().find(|c| c.uuid == uuid && services.contains(&c.service_uuid)).cloned();
     match (find(FROM_BOARD), find(TO_BOARD)) {
         (Some(input), Some(output)) => Ok((input, output)),
-        _ => Err(format!("{name} (Bluetooth) is no right hand of this version; flash firmware-nano33 again")),
-    }
-}
-
-/// Returns advice if a board is in range but not bonded.
-fn unbonded(Seen { name, address, .. }: &Seen) -> String {
-    format!(
-        "{name} (Bluetooth) is not paired with this machine, and anybody could advertise as it does: pair it once in the \
-         system's settings, or with `bluetoothctl pair {address}`"
-    )
-}
-
-/// Returns the boards that are bonded with this machine, according to the system.
-#[cfg(target_os = "linux")]
-struct Bonds(bluez_async::BluetoothSession);
-
-#[cfg(target_os = "linux")]
-impl Bonds {
-    async fn open() -> Result<Self, String> {
-        let (events, session) = bluez_async::BluetoothSession::new()
-            .await
-            .map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
-        // The task ends together with the runtime of this attempt.
-        tokio::spawn(events);
-        Ok(Bonds(session))
-    }
-
-    async fn addresses(&self) -> Result<Vec<String>, String> {
-        let known = self.0.get_devices().await;
-        let known = known.map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
-        Ok(known
-            .into_iter()
-            .filter(|device| device.paired)
-            .map(|device| device.mac_address.to_string())
-            .collect())
-    }
-}
-
-/// Other systems do not report bonds, so no board counts as bonded.
-#[cfg(not(target_os = "linux"))]
-struct Bonds;
-
-#[cfg(not(target_os = "linux"))]
-impl Bonds {
-    async fn open() -> Result<Self, String> {
-        Ok(Bonds)
-    }
-
-    async fn addresses(&self) -> Result<Vec<String>, String> {
-        Ok(Vec::new())
+        _ => Err(format!("{name} (Bluetooth) is no hand of this version; flash firmware-nano33 again")),
     }
 }
 
@@ -425,18 +414,18 @@ fn rank(is_bonded: bool, rssi_dbm: Option<i16>) -> (bool, Option<i16>) {
     (is_bonded, rssi_dbm)
 }
 
-async fn scan(adapter: &Adapter) -> Result<(), String> {
-    adapter.start_scan(ScanFilter { services: vec![SERVICE] }).await.map_err(|error| trouble(&error))
+async fn scan(adapter: &Adapter, hand: Option<Hand>) -> Result<(), String> {
+    adapter.start_scan(ScanFilter { services: services(hand) }).await.map_err(|error| trouble(&error))
 }
 
-/// Returns boards with our service that are present, because the system also remembers absent ones.
-async fn candidates(adapter: &Adapter) -> Result<Vec<Seen>, String> {
-    let mut found = Vec::new();
+/// Returns boards for these hands that are present, because the system also remembers absent ones.
+async fn candidates(adapter: &Adapter, hand: Option<Hand>) -> Result<Vec<Seen>, String> {
+    let (mut found, wanted) = (Vec::new(), services(hand));
     for peripheral in adapter.peripherals().await.map_err(|error| trouble(&error))? {
         // A board that disappears in the meantime is ignored.
         let Ok(Some(about)) = peripheral.properties().await else { continue };
         let near = about.rssi.is_some() || peripheral.is_connected().await.unwrap_or(false);
-        if near && about.services.contains(&SERVICE) {
+        if near && about.services.iter().any(|service| wanted.contains(service)) {
             let address = about.address.to_string();
             let name = about.local_name.unwrap_or_else(|| address.clone());
             found.push(Seen { peripheral, name, address, rssi_dbm: about.rssi });
@@ -463,24 +452,6 @@ async fn adapter() -> Result<(Manager, Adapter), String> {
     Err(off())
 }
 
-fn off() -> String {
-    "Bluetooth is off: switch it on in the system's settings, or with `bluetoothctl power on` (`rfkill unblock \
-     bluetooth` where a switch blocks it)"
-        .to_owned()
-}
-
-/// Explains an error of the system with a remedy.
-fn trouble(error: &btleplug::Error) -> String {
-    let text = error.to_string();
-    let none =
-        ["ServiceUnknown", "not provided by any", "NameHasNoOwner", "Failed to connect to socket", "activat"];
-    if none.iter().any(|word| text.contains(word)) {
-        return "Bluetooth: the system's service does not run: `sudo systemctl start bluetooth` (Debian: package bluez)"
-            .to_owned();
-    }
-    format!("Bluetooth: {text}; try again, or connect the board with its USB cable")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -493,11 +464,10 @@ mod tests {
     }
 
     #[test]
-    fn a_service_that_does_not_run_is_told_with_what_to_do() {
-        let refused = "The name org.bluez was not provided by any .service files";
-        let text = trouble(&btleplug::Error::Other(refused.into()));
-        assert!(text.contains("systemctl start bluetooth"), "{text}");
-        let text = trouble(&btleplug::Error::NotConnected);
-        assert!(text.contains("USB cable"), "{text}");
+    fn a_left_hand_is_no_candidate_for_a_right_one() {
+        assert_eq!(services(Some(Hand::Right)), [SERVICES.right]);
+        assert_eq!(services(Some(Hand::Left)), [SERVICES.left]);
+        assert_eq!(services(None).len(), 2);
+        assert_ne!(SERVICES.left, SERVICES.right);
     }
 }

@@ -54,7 +54,7 @@ impl Link {
     ) -> Self {
         #[cfg(feature = "ble")]
         if is_ble(port) {
-            return Link::Ble(BleLink::start(link, port, settings.allow_unbonded, clock, events));
+            return Link::Ble(BleLink::start(link, port, settings, clock, events));
         }
         Link::Serial(SerialLink::start(link, port, settings, clock, events))
     }
@@ -74,6 +74,15 @@ impl Link {
             Link::Serial(link) => link.is_ready(),
             #[cfg(feature = "ble")]
             Link::Ble(link) => link.is_ready(),
+        }
+    }
+
+    /// Strength of the radio signal in dBm when the board was found, if it is behind Bluetooth.
+    pub fn signal_dbm(&self) -> Option<i16> {
+        match self {
+            Link::Serial(_) => None,
+            #[cfg(feature = "ble")]
+            Link::Ble(link) => link.signal_dbm(),
         }
     }
 

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use serialport::SerialPort;
 use shared_proto::frame::DELIMITER;
+use shared_words::Hand;
 
 use super::{Clock, EventSender, LinkEvent, News, Waiter, Waker};
 
@@ -33,12 +34,14 @@ pub struct SerialSettings {
     pub settle_ms: u64,
     /// Whether boards over Bluetooth may be unbonded.
     pub allow_unbonded: bool,
+    /// Over Bluetooth, only boards for this hand are taken; `None` takes any.
+    pub hand: Option<Hand>,
 }
 
 impl Default for SerialSettings {
     /// The boards' 115200 baud, and the maximum waiting time of an old Nano bootloader.
     fn default() -> Self {
-        SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false }
+        SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false, hand: None }
     }
 }
 
