@@ -12,7 +12,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::arm::model::SerialArm;
 use crate::arm::motions::{MotionTable, PoseTable};
-use crate::arm::scene::JERK_MIN_RAD_S3;
+use crate::arm::scene::{JERK_MIN_RAD_S3, Route};
 use crate::base::BaseConfig;
 use crate::bridge::{Bridge, Restriction};
 use crate::episodes::Mark;
@@ -122,10 +122,13 @@ pub struct Vibration {
     pub wired: bool,
 }
 
-/// The fraction of the arm's own limits that may be used (0 to 1), and the choice of a jerk limit.
+/// The route of the arm, the fraction of its own limits that may be used (0 to 1), and the choice of a jerk limit.
+/// In a scene, the scene's own table `[arm]` applies instead.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arm {
+    /// `via-home` as in the paper, or `direct`: straight to the pose if the arm then stays clear of the robot and the floor.
+    pub route: Route,
     /// Fraction of the maximum joint speeds.
     pub velocity_scaling: f64,
     /// Fraction of the maximum joint accelerations.
@@ -140,6 +143,7 @@ impl Default for Arm {
     fn default() -> Self {
         use crate::arm::gen3::{ACCELERATION_SCALING, MAX_JERK_RAD_S3, VELOCITY_SCALING};
         Arm {
+            route: Route::ViaHome,
             velocity_scaling: VELOCITY_SCALING,
             acceleration_scaling: ACCELERATION_SCALING,
             jerk_limited: false,
@@ -257,7 +261,7 @@ impl Config {
 
     /// Returns the limits of the arm.
     pub fn arm_limits(&self) -> JointLimits {
-        let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3 } = self.arm;
+        let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3, .. } = self.arm;
         let limits = SerialArm::gen3().limits(velocity_scaling, acceleration_scaling);
         if jerk_limited { limits.with_jerk(jerk_rad_s3) } else { limits }
     }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use host_arm::plan::Planner;
+use host_arm::scene::Route;
 use host_arm::{Director, Motions};
 use host_robot::{
     BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Motion, Reading, Robot, Trajectory,
@@ -23,6 +24,8 @@ pub struct Stage {
     pub planner: Option<Arc<Planner>>,
     /// Limits of the arm's motions.
     pub limits: JointLimits,
+    /// The route of the arm without a scene.
+    pub route: Route,
 }
 
 impl Stage {
@@ -35,14 +38,16 @@ impl Stage {
             let arm = host_arm::model::SerialArm::gen3();
             let motions = Motions::new(&arm, &[], &config.pose, &config.motion)?;
             motions.check_objects(&[])?;
-            return Ok(Stage { motions, planner: None, limits: config.arm_limits() });
+            let (limits, route) = (config.arm_limits(), config.arm.route);
+            return Ok(Stage { motions, planner: None, limits, route });
         };
         let world = planner.world();
         let tables = [&world.scene().motions[..], &config.motion].concat();
         let motions = Motions::new(world.arm(), planner.goals(), &config.pose, &tables)?;
         let objects: Vec<&str> = world.scene().objects.iter().map(|object| object.name.as_str()).collect();
         motions.check_objects(&objects)?;
-        Ok(Stage { motions, limits: *planner.limits(), planner: Some(Arc::new(planner)) })
+        let (limits, route) = (*planner.limits(), world.scene().arm.route);
+        Ok(Stage { motions, planner: Some(Arc::new(planner)), limits, route })
     }
 
     /// Returns the Gen3 without surroundings, in the default configuration.
@@ -88,7 +93,7 @@ impl Stage {
     /// Combines a robot with the arm director that commands it.
     pub fn before<R: Robot>(&self, robot: R) -> Director<R> {
         match &self.planner {
-            None => Director::new(robot, self.motions.clone()),
+            None => Director::routed(robot, self.motions.clone(), self.route),
             Some(planner) => Director::in_scene(robot, self.motions.clone(), Arc::clone(planner)),
         }
     }

@@ -4,8 +4,10 @@
 
 use host_bridge::arm::gen3::MAX_JERK_RAD_S3;
 use host_bridge::arm::model::SerialArm;
+use host_bridge::config::Config;
 use host_bridge::plan::{Kind, Placement, Planner};
-use host_bridge::robot::{Door as _, JOINTS, JointLimits, Joints, Motion};
+use host_bridge::robot::{Door as _, JOINTS, JointLimits, Joints, Leg, Motion, Random};
+use host_bridge::robots::Stage;
 use host_bridge::scene::Scene;
 
 #[path = "support/moving.rs"]
@@ -129,4 +131,64 @@ fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
     // The two parts of the path via home take 6.1 s and 6.4 s. On the straight path, joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
     assert_eq!(robot.picture().guard_stops, 0);
+}
+
+#[test]
+fn without_a_scene_the_arm_goes_straight_if_the_configuration_asks_for_it_and_nothing_is_in_the_way() {
+    // The paper's six motions stay as they are; the route is a setting.
+    let config = Config::parse("[arm]\nroute = \"direct\"\n").unwrap();
+    let mut robot = Stage::new(&config, None).unwrap().simulated(&config);
+    for (motion, expected_s) in [("place", 4.0..7.0), ("place-top-right", 12.0..12.3)] {
+        robot.start(motion).unwrap();
+        assert_eq!(robot.arm().running.map(|(_, leg)| leg), Some(Leg::ToGoal), "not to home first");
+        let took_s = run_to_rest_s(&mut robot);
+        println!("{motion}: straight in {took_s:.2} s");
+        assert!(expected_s.contains(&took_s), "{motion}: {took_s}");
+        assert_eq!(robot.arm().joints_rad, pose(motion));
+    }
+
+    // Poses at random, all of which are clear. Some straight ways between them are not.
+    let around_world = planner("");
+    let around = around_world.world().around(Placement::default());
+    let mut random = Random::new(21);
+    let mut poses: Vec<Joints> = Vec::new();
+    while poses.len() < 12 {
+        let mut joints_rad = pose("home");
+        for (i, wide) in [(0, 2.5), (1, 2.0), (3, 2.3), (5, 1.8)] {
+            joints_rad[i] = random.between(-wide, wide);
+        }
+        if around.arm_clearance(&joints_rad).distance_m > 0.03 {
+            poses.push(joints_rad);
+        }
+    }
+    let mut text =
+        "[arm]\nroute = \"direct\"\nvelocity_scaling = 1.0\nacceleration_scaling = 0.5\n".to_owned();
+    for (i, joints_rad) in poses.iter().enumerate() {
+        text += &format!("[[pose]]\nname = \"p{i}\"\njoints_rad = {:?}\n", &joints_rad[..7]);
+        text += &format!("[[motion]]\nname = \"m{i}\"\nsteps = [{{ to = \"p{i}\" }}]\n");
+    }
+    let config = Config::parse(&text).unwrap();
+    let mut robot = Stage::new(&config, None).unwrap().simulated(&config);
+    let (mut straight, mut via_home, mut nearest_m) = (0, 0, f64::INFINITY);
+    for (i, there) in poses.iter().enumerate() {
+        let from_rad = robot.arm().joints_rad;
+        robot.start(&format!("m{i}")).unwrap();
+        let is_straight = robot.arm().running.is_some_and(|(_, leg)| leg == Leg::ToGoal);
+        while robot.arm().running.is_some() {
+            robot.drive(host_bridge::base::Twist::ZERO);
+            robot.pass(10);
+            if is_straight {
+                nearest_m = nearest_m.min(around.arm_clearance(&robot.arm().joints_rad).distance_m);
+            }
+        }
+        // Continuous joints take the shorter way round.
+        let there = around_world.world().arm().unwound(there, &from_rad);
+        let tau = std::f64::consts::TAU;
+        let off = |(a, b): (&f64, &f64)| ((a - b) / tau - ((a - b) / tau).round()).abs() * tau;
+        assert!(robot.arm().joints_rad.iter().zip(&there).map(off).all(|off| off < 1e-9), "m{i}");
+        assert_eq!(is_straight, around.way_is_clear(&from_rad, &there, 0.01), "m{i}");
+        if is_straight { straight += 1 } else { via_home += 1 }
+    }
+    println!("{straight} straight, nearest {:.1} mm, {via_home} via home", 1000.0 * nearest_m);
+    assert!(straight > 2 && via_home > 0 && nearest_m > 0.0);
 }

@@ -218,3 +218,25 @@ fn what_is_shown_is_what_the_robot_reports_and_where_it_should_be_stands_beside_
     assert!(asked.iter().zip(site.joints_rad).any(|(a, b)| (a - b).abs() > 0.1), "{asked:?}");
     assert_eq!((snapshot.odometry.x_m, snapshot.base_age_ms.is_some()), (0.0, true));
 }
+
+#[test]
+fn on_ros_2_too_the_base_turns_more_slowly_while_the_arm_is_stretched_out() {
+    let turn_rate_rad_s = |joints_rad: Joints| {
+        let mut site = Site::new("[[tool]]\nname = \"2f-85\"\n");
+        site.joints_rad = joints_rad;
+        // An impossible jump of the arm is forgotten after 2 s.
+        site.run(2500);
+        for _ in 0..60 {
+            site.live.press(HandKey::Arrow(Heading::Left), site.now_ms);
+            site.run(33);
+        }
+        site.base.twist.angular_rad_s
+    };
+    assert!((turn_rate_rad_s(HOME) - 0.5).abs() < 1e-9);
+    let mut stretched = HOME;
+    (stretched[1], stretched[3], stretched[5]) = (1.4, 0.0, 0.17);
+    // The fingertips are 1.2 m from the middle of the base.
+    let slow_rad_s = turn_rate_rad_s(stretched);
+    println!("{slow_rad_s:.3} rad/s of 0.5");
+    assert!((0.5 / 1.3..0.5 / 1.1).contains(&slow_rad_s), "{slow_rad_s}");
+}

@@ -474,3 +474,52 @@ fn a_dead_program_is_a_base_at_rest_after_the_robots_timeout() {
     );
     assert!(worst_ms <= BASE_TIMEOUT_MS + CYCLE_MS, "{worst_ms} ms");
 }
+
+#[test]
+fn a_change_of_pace_reaches_the_controller_without_a_jerk_and_the_program_may_die_at_any_moment_of_it() {
+    let limits = Config::default().arm_limits();
+    let braking_ms = (brake::longest_s(&limits) * 1000.0).ceil() as u64;
+    let most = limits.acceleration_rad_s2.iter().copied().fold(0.0, f64::max);
+    let fastest = |rig: &Rig| rig.controller.speed.iter().fold(0.0_f64, |most, speed| most.max(speed.abs()));
+    // From home, the arm moves to the pose in 5.7 s.
+    let started = || {
+        let mut rig = Rig::new(limits);
+        rig.start("pick-up");
+        rig.run(1500, true, true);
+        rig
+    };
+    let mut rig = started();
+    let full = fastest(&rig);
+    rig.door.pace(0.5);
+    rig.run(400, true, true);
+    let half = fastest(&rig);
+    assert!((half - 0.5 * full).abs() < 0.01 * full, "{half} {full}");
+    rig.door.pace(0.81);
+    while rig.ended.is_none() {
+        rig.run(10, true, true);
+        assert!(rig.now_ms < 30_000);
+    }
+    let there = Motions::paper().pose("pick-up").unwrap();
+    assert_eq!(rig.ended, Some(true));
+    assert!(rig.controller.joints.iter().zip(there).all(|(a, b)| (a - b).abs() < 1e-6));
+    assert!(rig.controller.worst_rad_s2 < 1.15 * most, "{}", rig.controller.worst_rad_s2);
+    println!("{full:.3} rad/s, then {half:.3}; rests after {} ms", rig.now_ms - 1100);
+
+    let mut worst_ms = 0;
+    for after_ms in (0..300).step_by(if is_full() { 10 } else { 60 }) {
+        let mut rig = started();
+        rig.door.pace(0.3);
+        rig.run(after_ms, true, true);
+        let (from_ms, mut moved_ms) = (rig.now_ms, rig.now_ms);
+        for _ in 0..200 {
+            rig.run(CYCLE_MS, false, false);
+            if !rig.controller.rests() {
+                moved_ms = rig.now_ms;
+            }
+        }
+        assert!(rig.controller.worst_rad_s2 < 1.15 * most, "{after_ms}");
+        worst_ms = worst_ms.max(moved_ms - from_ms);
+    }
+    println!("dead in a change of pace: at rest after {worst_ms} ms at most");
+    assert!(worst_ms <= ARM_LIMIT_MS + braking_ms);
+}

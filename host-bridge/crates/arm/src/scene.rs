@@ -42,7 +42,7 @@
 
 use std::path::PathBuf;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use host_robot::{DMat3, DQuat, Pose};
 
@@ -158,7 +158,7 @@ impl BaseTable {
 }
 
 /// The path of the arm to a pose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Route {
     /// The arm moves to its home pose first, as in the paper.

@@ -8,9 +8,9 @@ use shared_proto::message::Heading;
 use crate::tilt::{Pointing, TiltDrive};
 use host_robot::{MotionName, Twist};
 
-/// The caps on forward and turning speed, and their changes by bends.
+/// The caps on forward and turning speed, the pace of the arm, and their changes by bends.
 ///
-/// Both caps change together.
+/// Both caps change together. If [`SpeedRules::arm`] is set, bends also change the arm's pace while it moves.
 /// Each bend of the index finger multiplies the caps by 1.10, and each bend of the middle finger by 0.90.
 /// Caps stay within [0.05, 1.0] (the paper's table II and figures).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -19,6 +19,9 @@ pub struct Caps {
     pub linear_m_s: f64,
     /// Maximum speed of a turn, in rad/s.
     pub angular_rad_s: f64,
+    /// The arm's speed as a fraction of its planned speed.
+    #[serde(skip)]
+    pub pace: f64,
     /// The initial value of the caps and the rules for changes.
     #[serde(skip)]
     pub rules: SpeedRules,
@@ -38,12 +41,22 @@ pub struct SpeedRules {
     pub faster: f64,
     /// Factor for each bend of the middle finger.
     pub slower: f64,
+    /// Whether bends also change the arm's speed while the arm moves, up to its planned speed.
+    /// In the paper, bends change the base's speed alone.
+    pub arm: bool,
 }
 
 impl Default for SpeedRules {
     fn default() -> Self {
         let (start, least, most) = (Caps::START, Caps::LEAST, Caps::MOST);
-        SpeedRules { start, least, most, faster: Caps::FASTER, slower: Caps::SLOWER }
+        SpeedRules { start, least, most, faster: Caps::FASTER, slower: Caps::SLOWER, arm: false }
+    }
+}
+
+impl SpeedRules {
+    /// Returns the factors of these bends, in the order in which they apply.
+    fn factors(&self, index: u8, middle: u8) -> impl Iterator<Item = f64> + use<> {
+        std::iter::repeat_n(self.faster, index.into()).chain(std::iter::repeat_n(self.slower, middle.into()))
     }
 }
 
@@ -58,23 +71,31 @@ impl Caps {
     pub const FASTER: f64 = 1.10;
     /// Factor for a bend of the middle finger.
     pub const SLOWER: f64 = 0.90;
+    /// The arm is never slower than this fraction of its planned speed.
+    pub const PACE_LEAST: f64 = 0.1;
 
     /// The caps at the start.
     pub fn new(rules: SpeedRules) -> Self {
-        Caps { linear_m_s: rules.start, angular_rad_s: rules.start, rules }
+        Caps { linear_m_s: rules.start, angular_rad_s: rules.start, pace: 1.0, rules }
     }
 
     /// Applies bends. If one state reports bends of both fingers, their order is unknown.
     /// The middle finger is applied last, so that clipping errs towards lower speeds.
     pub fn bend(&mut self, index: u8, middle: u8) {
-        let SpeedRules { least, most, faster, slower, .. } = self.rules;
-        let steps =
-            std::iter::repeat_n(faster, index.into()).chain(std::iter::repeat_n(slower, middle.into()));
-        for factor in steps {
+        let SpeedRules { least, most, .. } = self.rules;
+        for factor in self.rules.factors(index, middle) {
             for cap in [&mut self.linear_m_s, &mut self.angular_rad_s] {
                 // `clamp` would panic if the minimum is above the maximum.
                 *cap = (*cap * factor).min(most).max(least);
             }
+        }
+    }
+
+    /// Applies bends to the arm's pace, in the same way.
+    /// The planned speed is the fastest, because a plan uses the limits of the configuration completely.
+    pub fn bend_pace(&mut self, index: u8, middle: u8) {
+        for factor in self.rules.factors(index, middle) {
+            self.pace = (self.pace * factor).clamp(Caps::PACE_LEAST, 1.0);
         }
     }
 
@@ -229,6 +250,19 @@ mod tests {
         assert_eq!(caps.linear_m_s, 1.0);
         caps.bend(0, 255);
         assert_eq!(caps.linear_m_s, 0.05);
+    }
+
+    #[test]
+    fn the_arms_pace_is_never_above_the_planned_speed_and_a_tenth_of_it_at_least() {
+        let mut caps = Caps::default();
+        caps.bend_pace(3, 0);
+        assert_eq!(caps.pace, 1.0);
+        caps.bend_pace(0, 2);
+        assert!((caps.pace - 0.81).abs() < 1e-12);
+        caps.bend_pace(1, 0);
+        assert!((caps.pace - 0.891).abs() < 1e-12);
+        caps.bend_pace(0, 255);
+        assert_eq!((caps.pace, caps.linear_m_s), (0.1, Caps::START));
     }
 
     #[test]

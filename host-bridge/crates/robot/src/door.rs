@@ -88,6 +88,11 @@ pub struct ArmState {
 }
 
 impl ArmState {
+    /// A planned motion moves the arm, and nothing has halted it.
+    pub fn is_on_its_way(&self) -> bool {
+        matches!(self.running, Some((_, Leg::ToHome | Leg::ToGoal)))
+    }
+
     /// No joint moves.
     pub fn at_rest(&self) -> bool {
         self.velocity_rad_s.iter().all(|v| *v == 0.0)
@@ -182,6 +187,10 @@ pub trait Door {
     /// Advances the time to `now_ms`: the robot moves, the guard checks, and motions end.
     fn step(&mut self, now_ms: u64);
 
+    /// Sets the cap: while the base moves, no point of the robot moves faster because of it.
+    /// The value applies to all later calls of [`Door::drive`]. Without a call, there is no cap.
+    fn cap(&mut self, _most_m_s: f64) {}
+
     /// Sets the base's speed, if the guard allows it, and shows that the bridge is alive.
     fn drive(&mut self, twist: Twist);
 
@@ -190,6 +199,9 @@ pub trait Door {
     /// # Errors
     /// Returns [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
+
+    /// Sets the arm's speed as a fraction of the planned speed (at most 1), for the running motion and all later ones.
+    fn pace(&mut self, _share: f64) {}
 
     /// Checks whether a hand could move the tool now.
     ///

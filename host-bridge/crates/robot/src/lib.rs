@@ -25,7 +25,7 @@ pub mod trajectory;
 
 pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
 pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
-pub use glam::{DMat3, DQuat, DVec3, EulerRot};
+pub use glam::{DMat3, DQuat, DVec2, DVec3, EulerRot};
 pub use gripper::{Grip, GripEnd};
 pub use limits::{JointLimits, Motion};
 pub use pose::{JOINTS, Joints, Pose, joints};

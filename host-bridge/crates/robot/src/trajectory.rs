@@ -25,6 +25,28 @@ struct Piece {
 }
 
 impl Piece {
+    /// The arm moves, and no joint changes its speed.
+    fn is_even(&self) -> bool {
+        let is_zero = |of: &Joints| of.iter().all(|x| *x == 0.0);
+        is_zero(&self.from.acceleration_rad_s2)
+            && is_zero(&self.jerk_rad_s3)
+            && !is_zero(&self.from.velocity_rad_s)
+    }
+
+    /// Returns the same path at a fraction of the speed.
+    fn at_pace(&self, share: f64, start_s: f64) -> Self {
+        Piece {
+            start_s,
+            duration_s: self.duration_s / share,
+            from: Motion {
+                joints_rad: self.from.joints_rad,
+                velocity_rad_s: scaled(&self.from.velocity_rad_s, share),
+                acceleration_rad_s2: scaled(&self.from.acceleration_rad_s2, share * share),
+            },
+            jerk_rad_s3: scaled(&self.jerk_rad_s3, share * share * share),
+        }
+    }
+
     /// Returns the motion at `time_s` after the piece's start.
     fn at(&self, time_s: f64) -> Motion {
         let t = time_s.clamp(0.0, self.duration_s);
@@ -41,6 +63,36 @@ impl Piece {
             acceleration_rad_s2: plus(&from.acceleration_rad_s2, jerk, t),
         }
     }
+}
+
+/// The times of a motion after its speed was changed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimeMap {
+    at_s: f64,
+    /// The ramp replaces this much time of the unchanged motion.
+    covered_s: f64,
+    ramp_s: f64,
+    factor: f64,
+}
+
+impl TimeMap {
+    /// Returns the time of an instant that the unchanged motion reaches at `then_s`.
+    /// Instants within the ramp are not mapped exactly.
+    pub fn now_s(&self, then_s: f64) -> f64 {
+        if then_s <= self.at_s {
+            return then_s;
+        }
+        self.at_s + self.ramp_s + (then_s - self.at_s - self.covered_s) / self.factor
+    }
+}
+
+/// A motion with a changed speed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Paced {
+    /// The changed motion.
+    pub trajectory: Trajectory,
+    /// Its times.
+    pub map: TimeMap,
 }
 
 /// A motion that ends at rest. The motion starts at rest, or (while braking) at speed.
@@ -157,6 +209,52 @@ impl Trajectory {
         };
         let here = next.push(from, jerk_rad_s3, for_s);
         next.then(&Trajectory::braking(here, limits))
+    }
+
+    /// Returns the same path at a fraction of the speed.
+    /// Accelerations scale with the square of the fraction, so a fraction of at most 1 keeps all limits.
+    #[must_use]
+    pub fn at_pace(&self, share: f64) -> Self {
+        let pieces = self.pieces.iter().map(|piece| piece.at_pace(share, piece.start_s / share)).collect();
+        let corners_s =
+            self.corners_s.iter().map(|(start_s, end_s)| (start_s / share, end_s / share)).collect();
+        Trajectory { pieces, corners_s, to_rad: self.to_rad, duration_s: self.duration_s / share }
+    }
+
+    /// Changes the speed by this factor from `at_s` on, on the same path, as quickly as the limits allow.
+    ///
+    /// The speed changes only where it is constant, which is the case on a straight segment.
+    /// There, the change is a further ramp, and everything after it is scaled as in [`Trajectory::at_pace`].
+    /// All limits therefore hold if they hold for the scaled motion.
+    /// The result is `None` if the speed is not constant at `at_s`, or not for long enough.
+    pub fn paced(&self, at_s: f64, factor: f64, limits: &JointLimits) -> Option<Paced> {
+        let k = self.pieces.iter().position(|piece| {
+            at_s >= piece.start_s && at_s < piece.start_s + piece.duration_s && piece.is_even()
+        })?;
+        let even = &self.pieces[k];
+        let before = even.from.velocity_rad_s;
+        let after = scaled(&before, factor);
+        let ramp = ramp(&minus(&after, &before), limits);
+        // The ramp covers this part of the segment, for which the unchanged motion needs this time.
+        let covered_s = 0.5 * (1.0 + factor) * ramp.duration_s;
+        let left_s = even.start_s + even.duration_s - at_s - covered_s;
+        if !(factor > 0.0 && left_s > 0.0) {
+            return None;
+        }
+        let here = even.at(at_s - even.start_s);
+        let mut next = Trajectory::at_rest(self.to_rad);
+        next.pieces = self.pieces[..k].to_vec();
+        next.pieces.push(Piece { duration_s: at_s - even.start_s, ..*even });
+        next.duration_s = at_s;
+        next.push_change(here.joints_rad, &before, &after, ramp);
+        let map = TimeMap { at_s, covered_s, ramp_s: ramp.duration_s, factor };
+        let from = even.at(at_s - even.start_s + covered_s);
+        let rest = Piece { start_s: 0.0, duration_s: left_s, from, ..*even };
+        next.pieces.push(rest.at_pace(factor, next.duration_s));
+        next.pieces.extend(self.pieces[k + 1..].iter().map(|p| p.at_pace(factor, map.now_s(p.start_s))));
+        next.corners_s = self.corners_s.iter().map(|&(a, b)| (map.now_s(a), map.now_s(b))).collect();
+        next.duration_s = map.now_s(self.duration_s);
+        Some(Paced { trajectory: next, map })
     }
 
     /// Brakes from motion as fast as the limits allow, with all joints together, in a straight line.
@@ -584,5 +682,76 @@ mod tests {
                 prop_assert!(shares[0] <= 1.0 + 1e-7);
             }
         }
+
+        #[test]
+        fn a_change_of_pace_keeps_the_path_the_limits_and_the_end_and_nothing_jumps(
+            path in prop::collection::vec(joints(), 2..6), short in 0.05..1.0_f64,
+            changes in prop::collection::vec((0.0..1.0_f64, 0.1..1.0_f64), 1..6),
+            stops in prop::array::uniform5(any::<bool>()),
+            jerk in prop_oneof![Just(f64::INFINITY), 0.5..100.0_f64],
+        ) {
+            let limits = paper_limits().with_jerk(jerk);
+            let path: Vec<Joints> = path.iter().map(|joints| scaled(joints, short)).collect();
+            let plan = Trajectory::through(&path, &stops, &limits);
+            let (mut now, mut pace, mut from_s) = (plan.clone(), 1.0, 0.0);
+            for (when, wanted) in changes {
+                let at_s = from_s + when * (now.duration_s() - from_s);
+                let Some(Paced { trajectory, map }) = now.paced(at_s, wanted / pace, &limits) else { continue };
+                for k in 0..=20 {
+                    let same_s = at_s * f64::from(k) / 20.0;
+                    let off = minus(&trajectory.motion(same_s).joints_rad, &now.motion(same_s).joints_rad);
+                    prop_assert!(most(&off, &[1.0; JOINTS]) < 1e-12, "until then it is the same");
+                    let late_s = map.now_s(now.duration_s()) - map.now_s(at_s + map.covered_s);
+                    let then_s = at_s + map.covered_s
+                        + (now.duration_s() - at_s - map.covered_s) * f64::from(k) / 20.0;
+                    prop_assert!(late_s > 0.0);
+                    let here = trajectory.motion(map.now_s(then_s)).joints_rad;
+                    prop_assert!(most(&minus(&here, &now.motion(then_s).joints_rad), &[1.0; JOINTS]) < 1e-9);
+                }
+                (now, pace, from_s) = (trajectory, wanted, at_s);
+            }
+            prop_assert_eq!(now.goal_rad(), plan.goal_rad());
+            prop_assert_eq!(now.motion(now.duration_s()), Motion::at_rest(plan.goal_rad()));
+            let dt_s = 0.01;
+            let mut before = now.motion(0.0);
+            let mut time_s = 0.0;
+            while time_s < now.duration_s() + dt_s {
+                time_s += dt_s;
+                let here = now.motion(time_s);
+                for i in 0..JOINTS {
+                    let (v, a) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i]);
+                    prop_assert!(here.velocity_rad_s[i].abs() <= v * (1.0 + 1e-9));
+                    prop_assert!(here.acceleration_rad_s2[i].abs() <= a * (1.0 + 1e-6));
+                    let change = (here.acceleration_rad_s2[i] - before.acceleration_rad_s2[i]).abs();
+                    prop_assert!(change <= jerk * dt_s * (1.0 + 1e-5) + 1e-9, "{change} {jerk}");
+                    let change = (here.velocity_rad_s[i] - before.velocity_rad_s[i]).abs();
+                    prop_assert!(change <= a * dt_s * (1.0 + 1e-6) + 1e-9);
+                    let step = (here.joints_rad[i] - before.joints_rad[i]).abs();
+                    prop_assert!(step <= v * dt_s * (1.0 + 1e-6) + 1e-9);
+                }
+                before = here;
+            }
+        }
+    }
+
+    #[test]
+    fn at_half_pace_a_motion_takes_twice_as_long_and_a_change_waits_for_an_even_stretch() {
+        let limits = paper_limits();
+        let mut to = HOME;
+        to[0] += 0.8;
+        let plan = Trajectory::through(&[HOME, to], &[], &limits);
+        let half = plan.at_pace(0.5);
+        assert!((half.duration_s() - 2.0 * plan.duration_s()).abs() < 1e-12);
+        assert_eq!(half.motion(4.0).joints_rad, plan.motion(2.0).joints_rad);
+        assert_eq!(half.motion(4.0).velocity_rad_s[0], 0.5 * plan.motion(2.0).velocity_rad_s[0]);
+        // The arm speeds up for 0.325 s, and slows down for as long.
+        for at_s in [0.1, 0.3, plan.duration_s() - 0.1, plan.duration_s() + 1.0] {
+            assert_eq!(plan.paced(at_s, 0.9, &limits), None, "{at_s}");
+        }
+        let Paced { trajectory, .. } = plan.paced(2.0, 0.5, &limits).unwrap();
+        // Half of 0.1396 rad/s is lost at 0.43 rad/s², in 0.162 s.
+        assert!((trajectory.motion(2.17).velocity_rad_s[0] - 0.5 * 0.13963).abs() < 1e-9);
+        let left_s = plan.duration_s() - 2.0 - 0.75 * 0.13963 / 0.86;
+        assert!((trajectory.duration_s() - (2.0 + 0.13963 / 0.86 + 2.0 * left_s)).abs() < 1e-9);
     }
 }

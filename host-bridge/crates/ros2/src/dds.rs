@@ -36,8 +36,8 @@ impl Transport for Joined {
             }
         }
         for (n, things) in self.things.iter().enumerate() {
-            while let Ok(Some((pose, _))) = things.take() {
-                came(Came::Thing(n, Box::new(pose)));
+            while let Ok(Some((pose, info))) = things.take() {
+                came(Came::Thing(n, Box::new(pose), name_of(info.publisher_gid().as_bytes())));
             }
         }
         while let Some(Ok(Some((list, _)))) = self.goals.as_ref().map(|goals| goals.take()) {

@@ -123,13 +123,13 @@ impl RosNode {
             Came::Base(odometry) => robot.see_base(odometry),
             Came::Controller(told) => robot.see_controller(&told.state, told.scaling()),
             Came::ForeignGoals(goals) => robot.set_foreign_goals(*goals),
-            Came::Thing(n, pose) => things.push((*n, pose.clone())),
+            Came::Thing(n, pose, writer) => things.push((*n, pose.clone(), writer.clone())),
             Came::Clock(_) | Came::Flag { .. } => {}
         });
         robot.set_clock(self.clocks.reference_s(wall_s, now_ms));
-        for (n, pose) in things {
+        for (n, pose, writer) in things {
             if let Some(topic) = self.config.watched.topics.get(n) {
-                robot.see_thing(topic, &pose);
+                robot.see_thing_from(&writer, topic, &pose);
             }
         }
         if let Some(joined) = self.joined.as_mut().filter(|joined| joined.arm_way() == ArmWay::Action) {

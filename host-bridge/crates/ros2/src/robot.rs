@@ -224,7 +224,12 @@ impl RosRobot {
 
     /// Processes the pose of an object.
     pub fn see_thing(&mut self, topic: &str, pose: &ros::PoseStamped) {
-        self.things.see(topic, pose, self.now_ms);
+        self.see_thing_from("", topic, pose);
+    }
+
+    /// Like [`Self::see_thing`], for a pose from a named publisher.
+    pub fn see_thing_from(&mut self, writer: &str, topic: &str, pose: &ros::PoseStamped) {
+        self.things.see(topic, pose, writer, self.now_ms);
     }
 
     /// Sets whether there is a subscriber for arm motions.

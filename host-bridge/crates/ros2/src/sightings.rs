@@ -3,6 +3,7 @@
 //!
 //! A pose must be in the frame of the arm's base or of the mobile base, because this program does not look up transforms.
 //! If the newest message is unusable, the pose is unknown, even if an earlier message was usable.
+//! The pose is also unknown if several publishers use the topic, because they may mean different objects.
 //! This module is sans-IO.
 
 use std::collections::BTreeMap;
@@ -14,6 +15,10 @@ use host_topics::message::PoseStamped;
 
 /// Maximum distance of a pose in m. No arm can reach this far.
 const FAR_M: f64 = 100.0;
+/// Publishers that sent a pose within this time are told apart. A publisher that was restarted has a new name.
+const WRITERS_MS: u64 = 3000;
+/// Maximum number of publishers of one topic that are told apart.
+const WRITERS_MAX: usize = 8;
 /// Maximum deviation of a quaternion's length from 1.
 const UNIT_OFF: f64 = 0.05;
 
@@ -49,6 +54,8 @@ struct Told {
 pub struct Sightings {
     names: Names,
     told: BTreeMap<String, Option<Told>>,
+    /// The publishers of each topic, with the time of their last message in ms.
+    writers: BTreeMap<String, BTreeMap<String, u64>>,
     /// The graph's time at the most recent call of [`Self::at`].
     clock_s: f64,
 }
@@ -64,6 +71,7 @@ impl Sightings {
         Sightings {
             names: Names { base: config.base_frame.clone(), arm },
             told: topics.iter().map(|topic| (topic.clone(), None)).collect(),
+            writers: BTreeMap::new(),
             clock_s: 0.0,
         }
     }
@@ -73,9 +81,14 @@ impl Sightings {
         self.clock_s = clock_s;
     }
 
-    /// Processes a newly received pose.
-    pub fn see(&mut self, topic: &str, message: &PoseStamped, now_ms: u64) {
+    /// Processes a newly received pose, with the name of its publisher.
+    pub fn see(&mut self, topic: &str, message: &PoseStamped, writer: &str, now_ms: u64) {
         let Some(told) = self.told.get_mut(topic) else { return };
+        let writers = self.writers.entry(topic.to_owned()).or_default();
+        writers.retain(|_, at_ms| now_ms.saturating_sub(*at_ms) <= WRITERS_MS);
+        if writers.len() < WRITERS_MAX || writers.contains_key(writer) {
+            writers.insert(writer.to_owned(), now_ms);
+        }
         let stamp_s = message.header.stamp.seconds();
         let age_s = self.clock_s - stamp_s;
         let sighting = if stamp_s == 0.0 {
@@ -102,6 +115,17 @@ impl Sightings {
                 "no pose has come on {topic} (geometry_msgs/PoseStamped): is its publisher running?"
             ));
         };
+        let writers = self.writers.get(topic).into_iter().flatten();
+        let writers = writers.filter(|(_, at_ms)| now_ms.saturating_sub(**at_ms) <= WRITERS_MS);
+        let writers: Vec<&str> = writers.map(|(name, _)| name.as_str()).collect();
+        if writers.len() > 1 {
+            return Err(format!(
+                "{} publishers send poses on {topic} ({}): end all but one (`ros2 topic info -v {topic}` names them), or give \
+                 each object its own topic",
+                writers.len(),
+                writers.join(", ")
+            ));
+        }
         let value = told
             .sighting
             .clone()
@@ -171,7 +195,7 @@ mod tests {
     }
 
     fn told(sightings: &mut Sightings, pose: &PoseStamped) -> Result<Reading<Sighting>, String> {
-        sightings.see("/cup", pose, 1000);
+        sightings.see("/cup", pose, "camera", 1000);
         sightings.get("/cup", 1000)
     }
 
@@ -183,20 +207,38 @@ mod tests {
         let came = told(&mut sightings, &pose("arm_base_link", 0.2)).unwrap();
         assert_eq!((came.age_ms, came.value.root, came.value.pose.position_m.x), (200, Root::Arm, 0.7));
         sightings.at(CLOCK_S + 1.0);
-        sightings.see("/cup", &pose("arm_base_link", 0.2), 2000);
+        sightings.see("/cup", &pose("arm_base_link", 0.2), "camera", 2000);
         assert_eq!(sightings.get("/cup", 2100).unwrap().age_ms, 1300, "the same message again is no newer");
+    }
+
+    #[test]
+    fn two_publishers_on_one_topic_are_refused_by_name_until_one_has_been_silent_for_a_while() {
+        let mut sightings = sightings();
+        let here = pose("arm_base_link", 0.0);
+        sightings.see("/cup", &here, "camera 1", 1000);
+        sightings.see("/cup", &here, "camera 2", 1500);
+        for _ in 0..20 {
+            sightings.see("/cup", &here, "camera 2", 3900);
+            let why = sightings.get("/cup", 3900).unwrap_err();
+            assert!(why.contains("2 publishers") && why.contains("camera 1, camera 2"), "{why}");
+        }
+        assert!(sightings.get("/cup", 4001).is_ok(), "the first one has ended");
+        for n in 0..100 {
+            sightings.see("/cup", &here, &format!("flood {n}"), 4100);
+        }
+        assert!(sightings.get("/cup", 4100).unwrap_err().starts_with("8 publishers"), "memory is bounded");
     }
 
     #[test]
     fn a_clock_that_jumps_makes_no_pose_younger() {
         let mut sightings = sightings();
-        sightings.see("/cup", &pose("arm_base_link", 0.1), 1000);
+        sightings.see("/cup", &pose("arm_base_link", 0.1), "camera", 1000);
         sightings.at(CLOCK_S - 3600.0);
         assert_eq!(sightings.get("/cup", 1500).unwrap().age_ms, 600, "set back by an hour");
         sightings.at(CLOCK_S + 3600.0);
         assert_eq!(sightings.get("/cup", 1500).unwrap().age_ms, 3_600_100, "the computer slept for an hour");
         sightings.at(CLOCK_S - 3600.0);
-        sightings.see("/cup", &pose("arm_base_link", 0.0), 2000);
+        sightings.see("/cup", &pose("arm_base_link", 0.0), "camera", 2000);
         assert!(sightings.get("/cup", 2000).unwrap_err().contains("3600.00 s ahead"));
     }
 

@@ -37,8 +37,8 @@ pub enum Came {
     Base(Box<ros::Odometry>),
     /// The arm controller's set point and state.
     Controller(Box<ToldState>),
-    /// The pose of an object, with the index of its topic in the configured list.
-    Thing(usize, Box<ros::PoseStamped>),
+    /// The pose of an object, with the index of its topic in the configured list and the name of its publisher.
+    Thing(usize, Box<ros::PoseStamped>, String),
     /// The number of active goals on the arm's action server that are not ours.
     ForeignGoals(usize),
 }

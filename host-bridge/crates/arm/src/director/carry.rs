@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use host_robot::trajectory::TimeMap;
 use host_robot::{End, Following, Grip, GripEnd, MotionName, Report, Robot, Trajectory};
 
 use crate::plan::Placement;
@@ -62,6 +63,14 @@ impl Running {
         }
     }
 
+    /// Replaces the trajectory under way by the same path with other times.
+    pub(super) fn retime(&mut self, with: Arc<Trajectory>, map: &TimeMap) {
+        if let Act::Follow { trajectory, home_s, .. } = &mut self.now {
+            *trajectory = with;
+            *home_s = map.now_s(*home_s);
+        }
+    }
+
     /// The trajectory under way.
     pub(super) fn trajectory(&self) -> Option<&Arc<Trajectory>> {
         match &self.now {
@@ -93,7 +102,7 @@ impl<R: Robot> Director<R> {
     ) -> Result<(), String> {
         let count = acts.len();
         let first = acts.pop_front().ok_or("the motion has no step")?;
-        self.start_act(&first)?;
+        let first = self.start_act(first)?;
         self.commanded_ms = self.now_ms;
         self.running = Some(Running {
             motion: motion.clone(),
@@ -110,8 +119,11 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    fn start_act(&mut self, act: &Act) -> Result<(), String> {
-        match act {
+    /// Returns the act as it was started, at the requested pace.
+    fn start_act(&mut self, act: Act) -> Result<Act, String> {
+        let mut pace = self.pace;
+        let act = pace.begins(act);
+        match &act {
             Act::Follow { trajectory, touch, .. } => {
                 self.robot.follow(Arc::clone(trajectory))?;
                 self.things.touch = touch.clone();
@@ -128,7 +140,8 @@ impl<R: Robot> Director<R> {
             }
             Act::Wait { .. } => {}
         }
-        Ok(())
+        self.pace = pace;
+        Ok(act)
     }
 
     /// Checks the result of the current act, and continues.
@@ -166,10 +179,13 @@ impl<R: Robot> Director<R> {
             return;
         }
         let planned = running.placement.filter(|_| running.is_at_work() || next.is_at_work());
-        if let Err(why) = self.can_go_on(&next, planned).and_then(|()| self.start_act(&next)) {
-            self.give_up(Some(why));
-            return;
-        }
+        let next = match self.can_go_on(&next, planned).and_then(|()| self.start_act(next)) {
+            Ok(next) => next,
+            Err(why) => {
+                self.give_up(Some(why));
+                return;
+            }
+        };
         let now_ms = self.now_ms;
         if let Some(running) = &mut self.running {
             (running.now, running.since_ms) = (next, now_ms);

@@ -6,13 +6,16 @@
 //! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!
 //! Without a scene, the arm moves via its home pose in straight lines in joint space, as in the paper.
+//! On request ([`Director::routed`]), it moves straight to its pose if it then stays clear of the robot itself and the floor.
 //! In a scene, motions are planned around its boxes.
 //! The [guard](crate::plan::guard) rejects motion that could not stop in time.
 
 mod carry;
 mod guarding;
 mod jogging;
+mod pacing;
 mod planning;
+mod reaching;
 mod seen;
 mod sequence;
 
@@ -29,12 +32,14 @@ use crate::model::SerialArm;
 use crate::motions::Motions;
 use crate::plan::guard::TICK_MS;
 use crate::plan::{Placement, Planner, World};
-use crate::scene::Scene;
+use crate::scene::{Route, Scene};
 use crate::things::{Shop, Things, in_scene};
 
 use carry::Running;
 use jogging::Jog;
+use pacing::Pace;
 use planning::{How, Planning};
+use reaching::Reaching;
 
 /// Part of a long pause that is checked tick by tick, in ms.
 const CATCH_UP_MS: u64 = 10_000;
@@ -115,6 +120,9 @@ pub struct Director<R> {
     plans: u64,
     wanted: Twist,
     allowed: Twist,
+    /// The cap on the speed of the robot's outermost point.
+    reaching: Reaching,
+    pace: Pace,
     /// Time at which the base last received a drive command or last reported a movement.
     base_moved_ms: Option<u64>,
     guard_due_ms: u64,
@@ -127,7 +135,14 @@ pub struct Director<R> {
 impl<R: Robot> Director<R> {
     /// Creates a director without a scene, in which the arm moves via its home pose.
     pub fn new(robot: R, motions: Motions) -> Self {
-        let world = World::new(SerialArm::gen3(), Scene::default());
+        Director::routed(robot, motions, Route::ViaHome)
+    }
+
+    /// Creates a director without a scene, in which the arm takes this route.
+    pub fn routed(robot: R, motions: Motions, route: Route) -> Self {
+        let mut scene = Scene::default();
+        scene.arm.route = route;
+        let world = World::new(SerialArm::gen3(), scene);
         Director::with(robot, motions, Site::Bare(Arc::new(world)))
     }
 
@@ -155,6 +170,8 @@ impl<R: Robot> Director<R> {
             plans: 0,
             wanted: Twist::ZERO,
             allowed: Twist::ZERO,
+            reaching: Reaching::default(),
+            pace: Pace::default(),
             base_moved_ms: None,
             guard_due_ms: 0,
             held: None,
@@ -220,6 +237,7 @@ impl<R: Robot> Door for Director<R> {
             self.robot.step(self.now_ms);
             self.watch_base();
             self.carry_on();
+            self.pace_on();
             self.jog_on();
             self.doubt_plan();
         }
@@ -227,8 +245,13 @@ impl<R: Robot> Door for Director<R> {
         self.reports.extend(self.robot.take_notes().into_iter().map(Report::Note));
     }
 
+    fn cap(&mut self, most_m_s: f64) {
+        self.reaching.cap_m_s = most_m_s;
+    }
+
     fn drive(&mut self, twist: Twist) {
         self.commanded_ms = self.now_ms;
+        let twist = self.within_reach(twist);
         if self.site.planner().is_none() {
             self.allowed = twist;
         } else if twist != self.wanted {
@@ -256,6 +279,10 @@ impl<R: Robot> Door for Director<R> {
 
     fn begin_planned(&mut self) {
         self.begin_what_is_planned();
+    }
+
+    fn pace(&mut self, share: f64) {
+        self.want_pace(share);
     }
 
     fn can_jog(&self) -> Result<(), NotStarted> {

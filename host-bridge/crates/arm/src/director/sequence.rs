@@ -12,6 +12,7 @@ use crate::model::SerialArm;
 use crate::motions::{Grasp, GripTable, Step};
 use crate::plan::collision::Part;
 use crate::plan::{Case, Placement, Purse, Refusal, line};
+use crate::scene::Route;
 use crate::things::{Things, Touch, in_scene};
 
 use super::seen::Anchor;
@@ -278,14 +279,16 @@ impl Plot {
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
-    /// Moves to these angles: via the home pose, or along the planned path.
+    /// Moves to these angles: via the home pose, straight, or along the planned path.
     fn go_freely(&self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = self.site.arm();
         let from_rad = draft.from_rad;
         let goal_rad = arm.unwound(goal_rad, &from_rad);
         let (leg, home_s) = match self.site.planner() {
+            None if self.is_straight_clear(&goal_rad, draft)? => {
+                (Trajectory::through(&[from_rad, goal_rad], &[], &self.limits), 0.0)
+            }
             None => {
-                can_start(arm, &from_rad)?;
                 let home_rad = arm.unwound(&arm.home_rad, &from_rad);
                 let goal_rad = arm.unwound(&goal_rad, &home_rad);
                 let limits = &self.limits;
@@ -304,6 +307,16 @@ impl Plot {
         };
         draft.follow(leg, home_s, Touch::default());
         Ok(())
+    }
+
+    /// Returns whether the arm may move straight to these angles without a scene.
+    /// If not, the arm moves via home, which users know from the paper's motions.
+    fn is_straight_clear(&self, goal_rad: &Joints, draft: &Draft) -> Result<bool, String> {
+        can_start(self.site.arm(), &draft.from_rad)?;
+        let world = self.site.world();
+        let arm = &world.scene().arm;
+        let around = world.around_with(draft.placement, &draft.things).paid_from(&draft.purse);
+        Ok(arm.route == Route::Direct && around.way_is_clear(&draft.from_rad, goal_rad, arm.margin_m))
     }
 
     /// Moves the flange in a straight line.

@@ -287,7 +287,7 @@ impl World {
         self.arm.joints.len() + 1
     }
 
-    fn part(&self, link: usize) -> Part {
+    pub(super) fn part(&self, link: usize) -> Part {
         match link.checked_sub(self.tool_link()) {
             None => Part::Link(link),
             Some(0) => Part::Tool,
@@ -297,7 +297,7 @@ impl World {
     }
 
     /// Returns the numbered shapes of tool, fingers and held object in the flange's frame.
-    fn on_flange(&self, things: &Things) -> OnFlange {
+    pub(super) fn on_flange(&self, things: &Things) -> OnFlange {
         if self.tool.is_none() {
             return OnFlange::default();
         }
@@ -309,7 +309,7 @@ impl World {
     }
 
     /// Returns the numbered shapes of base, links, tool and held object in the arm's frame.
-    fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Vec<(usize, Capsule)> {
+    pub(super) fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Vec<(usize, Capsule)> {
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
         for (i, (joint, pose)) in self.arm.joints.iter().zip(poses).enumerate() {
             shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));

@@ -10,7 +10,8 @@
 //! * [`collision`]: distances between robot and scene (`hulls` measures parts that are near each other exactly),
 //! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
-//! * [`guard`]: permits only motion from which the robot can still stop.
+//! * [`guard`]: permits only motion from which the robot can still stop,
+//! * [`reach`]: the speed of the robot's outermost point while the base moves.
 
 pub mod collision;
 pub mod guard;
@@ -18,6 +19,7 @@ mod hulls;
 pub mod line;
 pub mod planner;
 pub mod purse;
+pub mod reach;
 pub mod rrt;
 
 pub use collision::{Placement, World};

@@ -1,10 +1,10 @@
 //! The bridge's part of jogging.
 //! This part determines which part of the robot the left hand moves,
-//! and which motion is requested of the tool.
+//! which motion is requested of the tool, and the effect of bends.
 
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
 
-use super::{Bridge, GestureOutcome};
+use super::{Bridge, EventKind, GestureOutcome};
 use crate::intent::{is_rest, same_label};
 use crate::jog::{self, JogRules};
 use crate::safety::{self, Hand, State};
@@ -74,6 +74,21 @@ impl Bridge {
             NotStarted::Busy(Busy(motion)) => format!("the arm is busy with {motion}; let it end first"),
             NotStarted::Refused(why) => why,
         })
+    }
+
+    /// Applies bends: a lent hand lifts the tool, and any other hand changes the speed.
+    pub(super) fn bends(&mut self, index: u8, middle: u8, now_ms: u64, robot: &mut dyn Door) {
+        if self.safety.is_lent() {
+            self.lift.bend(index, middle, self.jog.bend_ms, now_ms);
+            return;
+        }
+        self.caps.bend(index, middle);
+        if self.caps.rules.arm && robot.picture().arm.is_on_its_way() {
+            self.caps.bend_pace(index, middle);
+            robot.pace(self.caps.pace);
+        }
+        let cap = self.caps.linear_m_s;
+        self.note(now_ms, EventKind::Caps { index, middle, cap });
     }
 
     /// Returns the motion that the hand now requests of the tool;

@@ -289,6 +289,7 @@ impl Bridge {
     fn drive(&mut self, now_ms: u64, robot: &mut dyn Door) {
         let twist = self.twist();
         self.driven = (twist, now_ms);
+        robot.cap(self.caps.linear_m_s);
         robot.drive(twist);
     }
 
@@ -436,7 +437,10 @@ impl Bridge {
                     (self.jogged_m_s, self.lift) = (DVec3::ZERO, Lift::default());
                     self.note(now_ms, EventKind::Halt { reason });
                 }
-                Action::ResetCaps => self.caps = Caps::new(self.caps.rules),
+                Action::ResetCaps => {
+                    self.caps = Caps::new(self.caps.rules);
+                    robot.pace(self.caps.pace);
+                }
                 Action::Entered(state) => {
                     self.was_armed |= state == State::Armed;
                     self.note(now_ms, EventKind::State { state });
@@ -449,14 +453,7 @@ impl Bridge {
                     self.lift = Lift::default();
                     self.note(now_ms, EventKind::Jogging { lent });
                 }
-                Action::Bends { index, middle } if self.safety.is_lent() => {
-                    self.lift.bend(index, middle, self.jog.bend_ms, now_ms);
-                }
-                Action::Bends { index, middle } => {
-                    self.caps.bend(index, middle);
-                    let cap = self.caps.linear_m_s;
-                    self.note(now_ms, EventKind::Caps { index, middle, cap });
-                }
+                Action::Bends { index, middle } => self.bends(index, middle, now_ms, robot),
                 Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, now_ms, robot)),
                 Action::Ignored(what) => {
                     match what {

@@ -183,7 +183,7 @@ impl Transport for ZenohNode {
                 }
                 Word::Arm(state) => came(Came::Arm(state, hex(&writer))),
                 Word::Base(odometry) => came(Came::Base(odometry)),
-                Word::Thing(n, pose) => came(Came::Thing(n, pose)),
+                Word::Thing(n, pose) => came(Came::Thing(n, pose, hex(&writer))),
                 Word::Controller(told) => came(Came::Controller(told)),
             }
         }
