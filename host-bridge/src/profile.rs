@@ -48,7 +48,7 @@ fn merged(own: &Ros2Config, profile: &toml::Table) -> Result<Ros2Config, String>
 pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, String> {
     match (controllers, asked) {
         (_, Some(asked)) => {
-            let asked = if asked.starts_with('/') { asked.to_owned() } else { format!("/{asked}") };
+            let asked = absolute(asked);
             if controllers.contains(&asked) {
                 return Ok(asked);
             }
@@ -59,7 +59,8 @@ pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, Strin
         }
         ([one], None) => Ok(one.clone()),
         ([], None) => Err(
-            "no controller on the graph has a follow_joint_trajectory action: is the arm's controller active?"
+            "the robot's description is there, but no controller on the graph has a follow_joint_trajectory action: is the arm's \
+             controller loaded and active?"
                 .to_owned(),
         ),
         (several, None) => Err(format!(
@@ -67,6 +68,11 @@ pub fn only(controllers: &[String], asked: Option<&str>) -> Result<String, Strin
             several.join(", ")
         )),
     }
+}
+
+/// Returns a controller's name as it is on the graph.
+pub fn absolute(name: &str) -> String {
+    if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
 }
 
 /// Lists the controllers on a graph for users.

@@ -53,13 +53,19 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         !config.ros2.robot_description.is_empty(),
         "robot_description under [ros2] is empty: it names the topic of the robot's description"
     );
-    eprintln!("looking at the graph …");
-    let found = look(&config.ros2)?;
+    let wanted = match (&args.controller, is_new) {
+        (Some(name), _) => Some(profile::absolute(name)),
+        (None, true) => None,
+        (None, false) => Some(config.ros2.resolve(&config.ros2.arm_controller)),
+    };
+    eprintln!("looking at the graph for a description and a controller …");
+    let found = look(&config.ros2, wanted.as_deref())?;
     let topic = config.ros2.resolve(&config.ros2.robot_description);
     let Some(text) = found.description else {
         bail!(
             "nobody publishes {topic}: is robot_state_publisher running, in this domain? Its name is robot_description \
-             under [ros2]"
+             under [ros2]. Controllers on the graph: {}",
+            profile::listed(&found.controllers)
         )
     };
     let file =

@@ -36,9 +36,9 @@ mod on {
     /// Duration of the search for other publishers, before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
-    /// A description that is published once arrives within this time after joining.
+    /// A description that is published once arrives within this time after joining, and controllers are discovered.
     #[cfg(feature = "urdf")]
-    const LOOK: Duration = Duration::from_secs(8);
+    const LOOK: Duration = Duration::from_secs(10);
 
     /// Current time in seconds since 1970.
     fn wall_s() -> f64 {
@@ -46,9 +46,10 @@ mod on {
     }
 
     /// Data about the robot on the graph. It is read before the robot is driven.
+    /// If `wanted` names a controller, the graph is read until it is there.
     #[cfg(feature = "urdf")]
-    pub fn look(config: &Ros2Config) -> Result<Found> {
-        Ok(look::look(config, &connection(config)?, LOOK)?)
+    pub fn look(config: &Ros2Config, wanted: Option<&str>) -> Result<Found> {
+        Ok(look::look(config, &connection(config)?, wanted, LOOK)?)
     }
 
     fn connection(config: &Ros2Config) -> Result<Connection> {

@@ -1343,24 +1343,32 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
     assert_eq!(rests_at(&mut robot), before, "nothing has moved");
 }
 
-/// A joint of a description: name, `xyz` and `rpy` of its origin, axis.
+/// A joint of a description: name, kind, `xyz` and `rpy` of its origin, axis.
 #[cfg(feature = "urdf")]
-type UrdfJoint = (&'static str, [f64; 3], [f64; 3], &'static str);
+type UrdfJoint = (&'static str, &'static str, [f64; 3], [f64; 3], &'static str);
 
 /// An invented arm that has the dimensions, joints and controller of a UR5e.
 #[cfg(feature = "urdf")]
-const UR5E: [UrdfJoint; 6] = [
-    ("shoulder_pan_joint", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
-    ("shoulder_lift_joint", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
-    ("elbow_joint", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
-    ("wrist_1_joint", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
-    ("wrist_2_joint", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
-    ("wrist_3_joint", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
+const UR5E: &[UrdfJoint] = &[
+    ("shoulder_pan_joint", "revolute", [0.0, 0.0, 0.1625], [0.0; 3], "0 0 1"),
+    ("shoulder_lift_joint", "revolute", [0.0, 0.138, 0.0], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("elbow_joint", "revolute", [0.0, -0.131, 0.425], [0.0; 3], "0 1 0"),
+    ("wrist_1_joint", "revolute", [0.0, 0.0, 0.392], [0.0, std::f64::consts::FRAC_PI_2, 0.0], "0 1 0"),
+    ("wrist_2_joint", "revolute", [0.0, 0.127, 0.0], [0.0; 3], "0 0 1"),
+    ("wrist_3_joint", "revolute", [0.0, 0.0, 0.1], [0.0; 3], "0 1 0"),
 ];
 
-/// Returns the URDF description of the UR5e, from `base_link` to `tool0`.
+/// A column that lifts an arm of two joints.
 #[cfg(feature = "urdf")]
-fn ur5e_urdf() -> String {
+const LIFT: &[UrdfJoint] = &[
+    ("lift_joint", "prismatic", [0.0, 0.0, 0.2], [0.0; 3], "0 0 1"),
+    ("shoulder_joint", "revolute", [0.1, 0.0, 0.1], [0.0; 3], "0 0 1"),
+    ("elbow_joint", "revolute", [0.3, 0.0, 0.0], [0.0; 3], "0 0 1"),
+];
+
+/// Returns the URDF description of an arm, from `base_link` to `tool0`.
+#[cfg(feature = "urdf")]
+fn urdf(joints: &[UrdfJoint]) -> String {
     let numbers = |three: [f64; 3]| three.map(|number| number.to_string()).join(" ");
     let link = |name: &str| {
         format!(
@@ -1369,14 +1377,15 @@ fn ur5e_urdf() -> String {
     };
     let mut text = format!("<?xml version='1.0'?><robot name='arm'>\n{}", link("base_link"));
     let mut parent = "base_link".to_owned();
-    for (i, (name, at_m, turn, axis)) in UR5E.into_iter().enumerate() {
+    for (i, (name, kind, at_m, turn, axis)) in joints.iter().enumerate() {
         let child = format!("link_{}", i + 1);
+        let (low, high, speed) = if *kind == "prismatic" { (0.0, 0.8, 0.3) } else { (-3.1, 3.1, 3.0) };
         text += &link(&child);
         text += &format!(
-            "<joint name='{name}' type='revolute'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
-             rpy='{}'/><axis xyz='{axis}'/><limit lower='-3.1' upper='3.1' effort='9' velocity='3'/></joint>\n",
-            numbers(at_m),
-            numbers(turn)
+            "<joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/><origin xyz='{}' \
+             rpy='{}'/><axis xyz='{axis}'/><limit lower='{low}' upper='{high}' effort='9' velocity='{speed}'/></joint>\n",
+            numbers(*at_m),
+            numbers(*turn)
         );
         parent = child;
     }
@@ -1389,26 +1398,56 @@ fn ur5e_urdf() -> String {
 #[cfg(feature = "urdf")]
 #[test]
 fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
-    let Some(site) = site("another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml", false)
-    else {
+    // For each middleware, one of the two arms is tested. With --full, both arms.
+    if is_rclpy() && !is_full() {
         return;
-    };
-    let desk = desk("ros2-ur5e");
-    let domain = domain();
-    let description = desk.path("published.urdf");
-    std::fs::write(&description, ur5e_urdf()).unwrap();
-    let names = UR5E.map(|joint| joint.0).join(",");
+    }
+    let ur5e = include_str!("../../robots/ur5e.toml");
     let start = [0.3, -1.4, 1.5, -1.6, -1.5, 0.2];
-    let begin = format!("--start={}", start.map(|value: f64| value.to_string()).join(","));
+    let site = site("another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml", false);
+    let Some(site) = site else { return };
+    read_taught_and_moved(&site, "ur5e", UR5E, "scaled_joint_trajectory_controller", &start, Some(ur5e));
+}
+
+#[cfg(feature = "urdf")]
+#[test]
+fn a_sliding_lift_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
+    if !is_rclpy() && !is_full() {
+        return;
+    }
+    let site = site("a_sliding_lift_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml", false);
+    let Some(site) = site else { return };
+    read_taught_and_moved(&site, "lift", LIFT, "lift_controller", &[0.3, 0.4, -0.5], None);
+}
+
+/// Reads an arm from the graph of a robot, teaches its pose, moves it to another pose and back.
+/// Without a profile, all settings come from the graph.
+#[cfg(feature = "urdf")]
+fn read_taught_and_moved(
+    site: &Site,
+    name: &str,
+    joints: &[UrdfJoint],
+    controller: &str,
+    start: &[f64],
+    profile: Option<&str>,
+) {
+    let desk = desk(&format!("ros2-{name}"));
+    let domain = domain();
+    let (config, scene) = (desk.path("graph.toml"), desk.path(&format!("{name}.toml")));
+    std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n")).unwrap();
+    if let Some(profile) = profile {
+        std::fs::write(&scene, profile).unwrap();
+    }
+    let description = desk.path("published.urdf");
+    std::fs::write(&description, urdf(joints)).unwrap();
+    let names: Vec<&str> = joints.iter().map(|joint| joint.0).collect();
+    let begin: Vec<String> = start.iter().map(f64::to_string).collect();
+    let (names, begin) = (names.join(","), format!("--start={}", begin.join(",")));
     let options = ["--robot", "--action", "--odom", "--pace", "1", "--joints", &names, &begin];
-    let controller = "scaled_joint_trajectory_controller";
     let more = ["--arm-controller", controller, "--description", description.to_str().unwrap()];
     let mut robot = peer(&desk, &site.python, domain, &[&options[..], &more[..]].concat());
     robot.has("ready", |v| is(v, "ready"));
 
-    let (config, scene) = (desk.path("graph.toml"), desk.path("ur5e.toml"));
-    std::fs::write(&config, format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n")).unwrap();
-    std::fs::write(&scene, include_str!("../../robots/ur5e.toml")).unwrap();
     let mut command = Command::new(crate::host_bridge());
     command.arg("arm").arg(&scene).arg("--config").arg(&config).env_remove("ROS_DOMAIN_ID");
     let output = command.output().unwrap();
@@ -1418,18 +1457,18 @@ fn another_arm_is_read_from_its_graph_taught_and_moved_with_a_page_of_toml() {
     let (done, said) = teach(&[&["here"], &files[..]].concat());
     assert!(done, "{said}");
     // The arm moves to a pose that was typed by hand, and then back to the taught pose.
-    let up = start.map(|value| value + 0.05);
+    let up: Vec<f64> = start.iter().map(|value| value + 0.05).collect();
     let taught = std::fs::read_to_string(&scene).unwrap();
     let lines = taught.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
     let lines = lines.count();
-    println!("ur5e: {lines} lines of TOML with the pose");
+    println!("{name}: {lines} lines of TOML with the pose");
     assert!(lines <= 20, "{taught}");
     std::fs::write(&scene, format!("{taught}\n[[pose]]\nname = \"up\"\njoints_rad = {up:?}\n")).unwrap();
-    for (pose, there) in [("up", &up), ("here", &start)] {
+    for (pose, there) in [("up", &up[..]), ("here", start)] {
         let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
         assert!(done && said.contains("reached"), "{pose}: {said}");
         let off = rests_at(&mut robot).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        println!("ur5e: '{pose}' reached, {off:.4} rad or m off");
+        println!("{name}: '{pose}' reached, {off:.4} rad or m off");
         assert!(off < 0.01);
     }
 }

@@ -125,9 +125,16 @@ pub mod wire {
         format!("rt{name}")
     }
 
+    const SEND_GOAL_TAIL: &str = "/follow_joint_trajectory/_action/send_goalRequest";
+
     /// The topic on which goals for a controller are sent.
     pub fn send_goal(controller: &str) -> String {
-        format!("rq{controller}/follow_joint_trajectory/_action/send_goalRequest")
+        format!("rq{controller}{SEND_GOAL_TAIL}")
+    }
+
+    /// The controller whose goals are sent on this topic, if there is one.
+    pub fn controller(topic: &str) -> Option<&str> {
+        topic.strip_prefix("rq")?.strip_suffix(SEND_GOAL_TAIL)
     }
 }
 
