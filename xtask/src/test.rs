@@ -1,7 +1,7 @@
 //! `cargo xtask test` runs every check. `--quick` runs only those for daily work, and `--full` runs the long versions.
 //!
 //! The first steps detect common mistakes: format, and clippy for our own crates.
-//! If one of these steps fails, the run ends within three minutes.
+//! If one of these steps fails, the run ends within three minutes, plus the time to install tools.
 //! The next steps check everything other than Rust, and build and run the demo as a new user does.
 //! After these, everything is built: the laptop programs and, in parallel, the firmware images.
 //! Finally, tests with the wall clock run one by one.
@@ -85,24 +85,24 @@ fn run_groups() -> Result<ExitCode> {
     let start = Instant::now();
     // The path is read now, because a build of the workspace replaces this program with an equal file.
     let program = std::env::current_exe()?;
-    let mut outcomes = run_all(&slips());
-    if outcomes.iter().any(Outcome::failed) {
+    // The tools come first and alone, because a linker must not be replaced while it is in use.
+    let mut outcomes = run_all(&tools());
+    let mut passed = !outcomes.iter().any(Outcome::failed);
+    outcomes.extend(run_all(&slips()));
+    // If a tool is missing, all steps that do not need it continue.
+    let stops = |outcome: &Outcome| outcome.failed() && outcome.name() != TOOLS;
+    if outcomes.iter().any(stops) {
         report(&outcomes);
         println!("nothing else was started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
     }
-    // This step runs alone, because a linker must not be replaced while it is in use.
-    outcomes.extend(run_all(&tools()));
-    let mut passed = !outcomes.iter().any(Outcome::failed);
     let packages = Beside::start(&program, PACKAGES, 0)?;
     outcomes.extend(run_all(&first()));
     passed &= packages.wait()?;
     let images = Beside::start(&program, IMAGES, 0)?;
     outcomes.extend(run_all(&laptop()));
     let images_built = images.wait()?;
-    // If a tool is missing, all steps that do not need it continue.
-    let built = outcomes.iter().all(|outcome| !outcome.failed() || outcome.name() == TOOLS);
-    if !built || (passed && !images_built) {
+    if outcomes.iter().any(stops) || (passed && !images_built) {
         report(&outcomes);
         println!("the tests were not started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
@@ -238,8 +238,8 @@ const OTHERS: &str = "checks by other programs";
 /// All steps, by group.
 fn groups() -> Vec<(&'static str, Vec<Step>)> {
     vec![
-        ("slips", slips()),
         ("tools", tools()),
+        ("slips", slips()),
         (PACKAGES, packages()),
         ("first", first()),
         ("the laptop's side", laptop()),
@@ -251,13 +251,18 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
 }
 
 /// Checks that give quick feedback after a change.
-/// Without the emulators, these checks take three quarters of the time that all features would need.
-/// Later steps reuse nearly all of their results.
+/// Without the emulators, these checks take three fifths of the time that all crates would need.
 fn slips() -> Vec<Step> {
     vec![
         Step::new("format", format),
         Step::new("clippy of our own programs", || {
-            sh(cargo_for_laptop("clippy").args(["--lib", "--bins", "--", "-D", "warnings"]))
+            // Bluetooth and the examples are selected here because both add features to shared dependencies.
+            // With them, the next run of clippy finds all of these dependencies checked.
+            let mut clippy = cargo_for_laptop("clippy");
+            if EMULATORS.is_complete() {
+                clippy.args(["--features", "host-bridge/ble"]);
+            }
+            sh(clippy.args(["--lib", "--bins", "--examples", "--", "-D", "warnings"]))
         }),
     ]
 }
@@ -405,9 +410,6 @@ fn tests() -> Vec<Step> {
                 .env("BIMANUAL_BUMBLE_PYTHON", python::environment()?))
         }),
         Step::new("the paper's table is what is measured", paper::check),
-        Step::new("documentation", || {
-            sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
-        }),
     ]
 }
 
@@ -486,6 +488,17 @@ fn others() -> Vec<Step> {
             let mut export = built("host-bridge")?;
             sh(export.arg("export").arg(&file).arg("--lerobot").arg(&set).args(["--episodes", "motions"]))?;
             sh(Command::new(python).current_dir(root()).arg("tests/lerobot/check.py").arg(&set))
+        }),
+        // This step comes late, because other cargo commands wait for it.
+        Step::new("documentation", || {
+            // The examples are selected as for clippy, so that the dependencies are not checked again.
+            // The programs are named, because cargo cannot document one that has the name of its library.
+            let mut doc = cargo_for_all("doc");
+            doc.args(["--no-deps", "--lib", "--examples", "--bin", "xtask"]);
+            if EMULATORS.is_complete() {
+                doc.args(["--bin", "avr_trials"]);
+            }
+            sh(doc.env("RUSTDOCFLAGS", "-D warnings"))
         }),
     ];
     if is_full() {
