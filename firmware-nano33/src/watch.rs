@@ -13,11 +13,14 @@ use crate::board;
 use crate::link;
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
+/// Time between two flashes that belong together.
+const BETWEEN_FLASHES: Duration = Duration::from_millis(200);
+
 /// Pins of the board's LED for red, green and blue; a colour is on while its pin is low.
 pub struct Led {
     /// Something is wrong.
     pub red: Output<'static>,
-    /// The board recognises gestures.
+    /// The board recognises gestures; two flashes mean that a movement was nearly one.
     pub green: Output<'static>,
     /// Raw samples are recorded.
     pub blue: Output<'static>,
@@ -59,15 +62,21 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
             load_permille: load.permille(),
             ..Status::default()
         };
-        let light = match board::status(counted) {
-            Light::SensorGone => &mut led.red,
-            Light::Recording => &mut led.blue,
-            Light::Well => &mut led.green,
+        let (light, flashes) = match board::status(counted) {
+            Light::SensorGone => (&mut led.red, 1),
+            Light::Recording => (&mut led.blue, 1),
+            Light::Well => (&mut led.green, 1),
+            Light::Almost => (&mut led.green, 2),
         };
-        // The flash is short because the LED draws more current than the rest of the board.
-        light.set_level(Level::Low);
-        Timer::after(Duration::from_millis(10)).await;
-        light.set_level(Level::High);
+        for flash in 0..flashes {
+            if flash > 0 {
+                Timer::after(BETWEEN_FLASHES).await;
+            }
+            // A flash is short because the LED draws more current than the rest of the board.
+            light.set_level(Level::Low);
+            Timer::after(Duration::from_millis(10)).await;
+            light.set_level(Level::High);
+        }
     }
 }
 

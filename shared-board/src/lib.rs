@@ -54,6 +54,7 @@
 #[cfg(any(test, feature = "host"))]
 extern crate std;
 
+mod almost;
 pub mod bonds;
 pub mod calibration_store;
 pub mod eeprom_log;

@@ -1,5 +1,6 @@
 //! The right board: converts samples to gestures or raw batches, and answers requests.
 
+use crate::almost::Almost;
 use crate::faults::FaultLog;
 use crate::hand::Hand;
 use crate::models::ModelRequest;
@@ -26,6 +27,8 @@ pub enum Light {
     Recording,
     /// Green: gestures are recognised, or the board is idle.
     Well,
+    /// Green, twice: a movement was nearly a gesture.
+    Almost,
 }
 
 /// The right board without its registers. `H` recognises the gestures.
@@ -45,11 +48,15 @@ pub struct RightBoard<H> {
     greeted: bool,
     raw: RawBatch,
     faults: FaultLog,
+    almost: Almost,
+    /// Whether a movement was nearly a gesture since the light was last asked for.
+    was_near: bool,
 }
 
 impl<H: Hand> RightBoard<H> {
     /// Creates a board that starts now, whose sensor has not delivered any samples.
     pub fn new(identity: Identity, hand: H) -> Self {
+        let almost = Almost::new(hand.model().labels.0);
         Self {
             identity,
             hand,
@@ -63,6 +70,8 @@ impl<H: Hand> RightBoard<H> {
             greeted: false,
             raw: RawBatch::new(),
             faults: FaultLog::new(),
+            almost,
+            was_near: false,
         }
     }
 
@@ -227,11 +236,13 @@ impl<H: Hand> RightBoard<H> {
         self.vibration.motor(now_ms)
     }
 
-    /// Returns the state of the light.
-    pub fn light(&self) -> Light {
+    /// Returns the state of the light. Each nearly recognised gesture is returned once.
+    pub fn light(&mut self) -> Light {
+        let was_near = core::mem::take(&mut self.was_near);
         match (self.sensor_ok, self.mode) {
             (false, _) => Light::SensorGone,
             (true, Mode::Record) => Light::Recording,
+            (true, Mode::Classify) if was_near => Light::Almost,
             (true, _) => Light::Well,
         }
     }
@@ -278,6 +289,11 @@ impl<H: Hand> RightBoard<H> {
         }
         if !output.full || output.replaced {
             flags |= health::GAP;
+        }
+        if output.full && flags & health::MODEL == 0 {
+            self.was_near |= self.almost.see(output.scores(), output.is_event);
+        } else {
+            self.almost.reset();
         }
         let scores = output.score_bytes();
         let state = RightState {

@@ -8,9 +8,9 @@ use shared_board::Identity;
 use shared_board::hand::{CountHand, Hand, ValueHand};
 use shared_board::models::ModelRequest;
 use shared_board::right::{Light, RightBoard};
-use shared_dsp::right::RightHand;
 use shared_dsp::right::decision::DecisionConfig;
-use shared_dsp::right::network::{MAX_AXES, Model};
+use shared_dsp::right::network::{MAX_AXES, MAX_LABELS, Model};
+use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
 use shared_proto::message::{
     About, AckResult, Board, BoardMessage, Bytes, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,
@@ -328,4 +328,68 @@ proptest! {
         rig.samples(16);
         prop_assert_eq!(rig.states().len(), 2);
     }
+}
+
+/// A hand whose samples are the scores of `idle` and `a`.
+struct Scores(RightOutput);
+
+impl Hand for Scores {
+    type Sample = [i8; 2];
+
+    fn push(&mut self, sample: &[i8; 2], _: u32) -> bool {
+        self.0.scores[..2].copy_from_slice(sample);
+        true
+    }
+
+    fn gap(&mut self) {}
+
+    fn output(&self) -> &RightOutput {
+        &self.0
+    }
+
+    fn model(&self) -> ModelInfo<'_> {
+        ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: Text("idle,a") }
+    }
+
+    fn scale(&self) -> Option<[f32; 3]> {
+        Some(SCALE)
+    }
+
+    fn counts(&self, _: &[i8; 2], _: &mut [i16; MAX_AXES]) -> usize {
+        0
+    }
+}
+
+#[test]
+fn the_light_shows_once_that_a_movement_was_nearly_a_gesture() {
+    let output = RightOutput {
+        window_end_ms: 0,
+        full: true,
+        replaced: false,
+        events: 0,
+        is_event: false,
+        label: 255,
+        confidence: 0,
+        event_window_end_ms: 0,
+        scores: [-128; MAX_LABELS],
+        label_count: 2,
+    };
+    let mut board = RightBoard::new(identity(), Scores(output));
+    board.set_sensor_ok(true);
+    let mut line = Line::default();
+    let mut hops = |board: &mut RightBoard<Scores>, scores: [i8; 2]| {
+        for _ in 0..8 {
+            assert!(board.sample(&scores, 0, 0));
+            board.send_due(&mut line);
+        }
+        board.light()
+    };
+    // The probability of the gesture rises to 0.45 and falls again.
+    assert_eq!(hops(&mut board, [127, -128]), Light::Well);
+    assert_eq!(hops(&mut board, [12, -13]), Light::Well, "it may still become a gesture");
+    assert_eq!(hops(&mut board, [127, -128]), Light::Almost);
+    assert_eq!(board.light(), Light::Well, "only once");
+    // At 0.35, the movement is far from a gesture.
+    assert_eq!(hops(&mut board, [37, -38]), Light::Well);
+    assert_eq!(hops(&mut board, [127, -128]), Light::Well);
 }
