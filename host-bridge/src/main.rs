@@ -45,7 +45,7 @@ enum Verb {
     Teach(cmd::teach::Args),
     /// Sends your own model to the right hand's board
     SendModel(cmd::send_model::Args),
-    /// Replaces the firmware of the right hand's board, over USB or Bluetooth
+    /// Replaces the firmware of a board with an nRF52840, over USB or Bluetooth
     Update(cmd::update::Args),
 }
 

@@ -8,5 +8,6 @@ mod live {
     mod ble;
     mod desk;
     mod ros2;
+    mod update;
     mod walk_through;
 }

@@ -245,6 +245,40 @@ fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
     assert!(rig.board.controller().passed[1] > before + 15 * 20, "notifies by itself");
 }
 
+/// The laptop looks for the board as soon as it notices the silence, or as soon as the laptop itself runs again.
+/// The duration of a scan and the radio's timing are modelled.
+#[test]
+fn after_a_reset_of_either_side_states_arrive_again_within_2_s() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let mut rig = joined(15.0);
+    rig.wait_for_parameters();
+    let from = rig.board.now();
+    rig.board.soc().nvic.reset_wanted = true;
+    assert!(rig.run_until_that(1500, |rig| !rig.noticed("lost").is_empty()), "the laptop notices nothing");
+    let noticed_ms = (rig.board.now() - from) / ms(1);
+    let board_ms = rig.return_ms(from);
+    println!(
+        "states again {board_ms} ms after the board's reset, which is noticed after {noticed_ms} ms (modelled)"
+    );
+    assert!(board_ms < 2000);
+
+    rig.wait_for_parameters();
+    let from = rig.board.now();
+    rig.get(json!({"do": "restart"}));
+    rig.board.controller().in_range = false;
+    assert!(rig.run_until_that(1500, |rig| !rig.board.is_connected()), "the board notices nothing");
+    let noticed_ms = (rig.board.now() - from) / ms(1);
+    rig.board.controller().in_range = true;
+    rig.run_ms(50);
+    let laptop_ms = rig.return_ms(from);
+    println!(
+        "states again {laptop_ms} ms after the laptop's, which is noticed after {noticed_ms} ms (modelled)"
+    );
+    assert!(laptop_ms < 2000);
+}
+
 #[test]
 fn when_either_side_has_lost_the_bond_both_pair_anew() {
     if !tests::has_linked_image() {

@@ -162,6 +162,21 @@ fn an_accelerometer_that_is_gone_and_an_open_flex_sensor_are_faults_and_end() {
 }
 
 #[test]
+fn after_a_reset_states_arrive_again_within_2_s() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let mut rig = joined(Tilts(f64::INFINITY));
+    rig.wait_for_parameters();
+    let from = rig.board.now();
+    rig.board.soc().nvic.reset_wanted = true;
+    assert!(rig.run_until_that(1500, |rig| !rig.noticed("lost").is_empty()), "the laptop notices nothing");
+    let back_ms = rig.return_ms(from);
+    println!("states again {back_ms} ms after the board's reset (modelled)");
+    assert!(back_ms < 2000);
+}
+
+#[test]
 fn it_takes_a_new_image_but_no_model() {
     if !tests::has_linked_image() {
         return;

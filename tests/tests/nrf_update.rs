@@ -16,38 +16,17 @@ use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
 use shared_proto::message::{AckResult, Board, BoardMessage, HostMessage};
 use tests::nrf::board::Kind;
 use tests::nrf::build::{Variant, image};
-use tests::nrf::image::Image;
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::RightRig;
 use tests::nrf::time::ms;
+use tests::nrf::update_file::{NEW, OLD, update_file};
 use tests::nrf::usb_host::UsbHost;
 
 /// Address of the second stage on a Nano 33.
 const BASE: u32 = 0x1_0000;
-/// The versions of the two images. They have equal length, so the images differ only in these texts.
-const OLD: &str = "0.1.0";
-const NEW: &str = "0.1.9";
 
 fn key() -> KeyPair {
     KeyPair::from_seed(Seed::new([7; 32]))
-}
-
-/// Creates the update file of a Nano's image, and replaces the version in the image by this version.
-fn file(image: &Image, version: &str) -> Vec<u8> {
-    file_for(image, Board::RightNano33, version)
-}
-
-fn file_for(image: &Image, board: Board, version: &str) -> Vec<u8> {
-    let mut bytes = image.binary();
-    let places: Vec<usize> =
-        (0..bytes.len() - OLD.len()).filter(|&at| bytes[at..].starts_with(OLD.as_bytes())).collect();
-    assert!(!places.is_empty(), "the image says its version");
-    for at in places {
-        bytes[at..at + OLD.len()].copy_from_slice(version.as_bytes());
-    }
-    let mut text = [0; 16];
-    text[..version.len()].copy_from_slice(version.as_bytes());
-    Trailer { origin: image.vector_table, board: board.into(), version: text }.file(&bytes)
 }
 
 fn sign(file: &mut [u8], key: &KeyPair) {
@@ -84,7 +63,7 @@ const AIR: u32 = 0;
 
 fn files() -> (Vec<u8>, Vec<u8>) {
     let linked = image(Variant::Trouble);
-    (file(&linked, OLD), file(&linked, NEW))
+    [OLD, NEW].map(|version| update_file(&linked, Board::RightNano33, version)).into()
 }
 
 impl Desk {
@@ -120,7 +99,7 @@ impl Desk {
     /// A left hand with a second stage and the old image.
     fn left() -> Self {
         let linked = image(Variant::XiaoLeft);
-        let [old, new] = [OLD, NEW].map(|version| file_for(&linked, Board::LeftXiao, version));
+        let [old, new] = [OLD, NEW].map(|version| update_file(&linked, Board::LeftXiao, version));
         let whole = linked.behind(image(Variant::XiaoStage), None);
         let mut rig = RightRig::air_of(whole, Kind::Xiao, Box::new(Still));
         rig.run_ms(700);

@@ -3,6 +3,7 @@
 //! If one image contains two register crates, it can link silently without some handlers (see `firmware-nano33/pac`).
 #![cfg(feature = "nrf")]
 
+use shared_board::update::SLOT_A;
 use tests::nrf::build::{Variant, image};
 use tests::nrf::image::Image;
 
@@ -49,5 +50,6 @@ fn every_used_vector_of_the_image_with_bluetooth_linked_in_is_handled() {
         (11, "RTC0"),
         (20, "EGU0_SWI0"),
     ]);
-    check(&image(Variant::Trouble), &used, 0x10000);
+    // The second stage is stored before the image.
+    check(&image(Variant::Trouble), &used, 0x10000 + SLOT_A);
 }

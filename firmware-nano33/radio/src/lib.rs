@@ -31,7 +31,9 @@ pub const ANSWER: Duration = Duration::from_secs(5);
 /// A frame from the laptop arrives within five intervals.
 pub const LATENCY: u16 = 4;
 /// A link that is silent for this long (in units of 10 ms) is lost.
-pub const SUPERVISION: u16 = 200;
+/// After a restart of one side, the other side notices this only then.
+/// With one second, both sides are linked again within two seconds of a restart.
+pub const SUPERVISION: u16 = if cfg!(feature = "trouble") { 100 } else { 200 };
 /// Advertising interval in units of 0.625 ms: 30 ms.
 pub const ADVERTISING: u32 = 48;
 /// A laptop that has not bonded within this time is disconnected, because it occupies the board's only link.

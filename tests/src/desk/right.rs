@@ -9,6 +9,7 @@ use super::program::Desk;
 use super::station::{Board, Station};
 use crate::nrf::board::{self, Boot};
 use crate::nrf::build::{Variant, image};
+use crate::nrf::controller::{Air, Controller};
 use crate::nrf::lsm9ds1::Motion;
 use crate::nrf::time::{HZ, ms};
 use crate::nrf::usb_host::UsbHost;
@@ -67,6 +68,10 @@ pub struct Right {
     board: board::Board,
     hand: Rc<RefCell<Hand>>,
     usb: UsbHost,
+    /// Number of resets when the port appeared.
+    resets: usize,
+    /// The board has restarted by itself. Its port then disappears, but its power stays on.
+    is_powered: bool,
 }
 
 /// A right hand on a desk.
@@ -85,10 +90,49 @@ impl Right {
     /// Starts a board with the stock bootloader and only the compiled-in model, on this wearer's still hand.
     /// The board's port on the desk has the name `name`.
     pub fn start(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
+        Self::start_with(desk, name, wearer, |motion| {
+            board::Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion)
+        })
+    }
+
+    /// Starts a board with the image that has Bluetooth linked in, behind its second stage.
+    /// Bumble simulates the radio, and no laptop connects.
+    pub fn start_linked(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
+        Self::start_with(desk, name, wearer, |motion| {
+            let image = image(Variant::Trouble).behind(image(Variant::Stage), None);
+            let controller = Controller::new(&image.symbols, Air::start(), 0);
+            let mut board = board::Board::new(image, Boot::StockBootloader, motion);
+            board.answer_controller(controller);
+            board
+        })
+    }
+
+    fn start_with(
+        desk: &Desk,
+        name: &str,
+        wearer: Wearer,
+        board: impl FnOnce(Box<dyn Motion>) -> board::Board,
+    ) -> RightStation {
         let hand = Rc::new(RefCell::new(Hand::new(wearer)));
-        let motion = Box::new(Shared(Rc::clone(&hand)));
-        let board = board::Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion);
-        Station::start(desk.time(), &desk.path(name), Self { board, hand, usb: UsbHost::default() })
+        let board = board(Box::new(Shared(Rc::clone(&hand))));
+        let (usb, resets, is_powered) = (UsbHost::default(), 0, false);
+        Station::start(desk.time(), &desk.path(name), Self { board, hand, usb, resets, is_powered })
+    }
+
+    /// Returns whether the board has restarted by itself since its port appeared.
+    pub fn has_restarted(&self) -> bool {
+        self.board.resets.len() > self.resets
+    }
+
+    /// Returns whether an image runs behind the second stage.
+    /// A sleeping core shows this, because the second stage never sleeps.
+    pub fn is_running(&self) -> bool {
+        self.board.is_asleep()
+    }
+
+    /// Returns the content of the flash.
+    pub fn flash(&mut self) -> Vec<u8> {
+        self.board.soc().flash.to_vec()
     }
 
     /// Performs this movement for this many seconds, and then rests.
@@ -144,15 +188,19 @@ impl Board for Right {
     }
 
     fn pulled(&mut self) {
+        self.is_powered = self.has_restarted();
         self.usb.unplug(&mut self.board);
     }
 
     fn plugged(&mut self) {
         // The cable is also the power supply.
-        self.board.soc().nvic.reset_wanted = true;
-        self.board.run_ms(50);
+        if !self.is_powered {
+            self.board.soc().nvic.reset_wanted = true;
+            self.board.run_ms(50);
+        }
         self.usb.plug_in(&mut self.board);
         self.settle_usb();
+        self.resets = self.board.resets.len();
         // No program has opened the port yet.
         self.opened(false);
     }

@@ -4,6 +4,7 @@ use serde_json::{Value, json};
 
 use super::board::Board;
 use super::session::RightRig;
+use super::time::ms;
 
 /// The characteristic with the board's notifications.
 pub const OUT: &str = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33";
@@ -136,6 +137,28 @@ impl RightRig {
     /// Panics if [`AirHost::settle_in`] does, or if the laptop does not use bumble.
     pub fn settle_in(&mut self) {
         self.air.as_mut().expect("bumble's laptop").settle_in(&mut self.board);
+    }
+
+    /// Waits until the laptop has granted the supervision timeout that the board requests.
+    ///
+    /// # Panics
+    /// Panics if this takes longer than 30 s.
+    pub fn wait_for_parameters(&mut self) {
+        let granted = |rig: &mut Self| rig.board.controller().supervision() == Some(ms(1000));
+        assert!(self.run_until_that(30_000, granted), "the parameters are not granted");
+    }
+
+    /// Connects a bonded laptop again, and waits for the next state of the hand.
+    /// Returns the ms since `from`, which is a cycle of the board.
+    ///
+    /// # Panics
+    /// Panics if [`Self::join`] does, or if no state arrives.
+    pub fn return_ms(&mut self, from: u64) -> u64 {
+        self.join(15.0);
+        let states = |rig: &Self| rig.heard.states.len() + rig.heard.lefts.len();
+        let before = states(self);
+        assert!(self.run_until_that(5000, |rig| states(rig) > before), "no state");
+        (self.board.now() - from) / ms(1)
     }
 
     /// Returns the laptop's unsolicited reports with this key.

@@ -37,5 +37,6 @@ pub mod timer;
 pub mod transfer;
 pub mod twim;
 pub mod uarte;
+pub mod update_file;
 pub mod usb_host;
 pub mod usbd;

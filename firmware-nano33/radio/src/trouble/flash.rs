@@ -4,7 +4,7 @@
 //! A page is erased in pieces of 10 ms.
 //! If the radio grants no slot, the request is repeated with a higher priority.
 //! The link may then miss one event.
-//! Such a miss is harmless, because the supervision timeout is two hundred times as long as a piece.
+//! Such a miss is harmless, because the supervision timeout is a hundred times as long as a piece.
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::mutex::Mutex;

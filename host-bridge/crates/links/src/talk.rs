@@ -183,7 +183,7 @@ pub fn advice(result: AckResult) -> &'static str {
         }
         AckResult::ImageRefused => {
             "the board does not accept this image: it is for another board, or over Bluetooth its signature is not \
-             that of the key in the board"
+             that of the key in the board; build or download the file for this board, or sign it with that key"
         }
         AckResult::ImageWentBack => {
             "the board went back to its old image, because the new one did not say hello before a restart"

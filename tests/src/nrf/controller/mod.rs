@@ -169,6 +169,11 @@ impl Controller {
         self.link.as_ref().map(|link| link.interval)
     }
 
+    /// Returns the connection's supervision timeout in cycles.
+    pub fn supervision(&self) -> Option<u64> {
+        self.link.as_ref().map(|link| link.supervision)
+    }
+
     /// Returns the number of bytes per radio packet, and whether the radio transmits at 2 Mbit/s.
     pub fn radio(&self) -> Option<(u16, bool)> {
         self.link.as_ref().map(|link| (link.octets, link.fast))
