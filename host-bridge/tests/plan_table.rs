@@ -161,7 +161,7 @@ fn without_a_scene_the_arm_goes_straight_if_the_configuration_asks_for_it_and_no
         let before_rad = poses[poses.len() - 1];
         let way_is_clear = || around.way_is_clear(&before_rad, &arm.unwound(&joints_rad, &before_rad), 0.01);
         if around.arm_clearance(&joints_rad).distance_m > 0.03
-            && way_is_clear() == !poses.len().is_multiple_of(3)
+            && way_is_clear() != poses.len().is_multiple_of(3)
         {
             poses.push(joints_rad);
         }
