@@ -48,7 +48,7 @@ impl Pace {
 impl<R: Robot> Director<R> {
     pub(super) fn want_pace(&mut self, share: f64) {
         // A pace that is not a number is the slowest one.
-        let share = share.max(LEAST).min(1.0);
+        let share = if share.is_nan() { LEAST } else { share.clamp(LEAST, 1.0) };
         if share == self.pace.wanted {
             return;
         }
