@@ -75,8 +75,13 @@ pub fn points(bytes: &[u8], points_max: usize) -> Result<Vec<Point>, String> {
                 "node" => open.push((part, here, depth + 1)),
                 "instance_geometry" => {
                     instances += 1;
+                    if instances > INSTANCES_MAX {
+                        return Err(format!(
+                            "its more than {INSTANCES_MAX} instances of meshes are too many"
+                        ));
+                    }
                     let mesh = positions(find(part.attribute("url").unwrap_or(""), "geometry")?, &find)?;
-                    if instances > INSTANCES_MAX || points.len() + mesh.len() > points_max {
+                    if points.len() + mesh.len() > points_max {
                         return Err(format!("its more than {points_max} corners are too many"));
                     }
                     points.extend(mesh.into_iter().map(|point| here.turn * point + here.at));
@@ -209,7 +214,10 @@ mod tests {
         assert!(told("", "<node><translate>1 x 2</translate></node>").contains("'x' for a number"));
         let deep = format!("{}{}", "<node>".repeat(150), "</node>".repeat(150));
         assert!(told("", &deep).contains("too deep"));
-        assert!(told("", &format!("<node>{}</node>", HERE.repeat(60))).contains("too many"));
+        assert!(told("", &format!("<node>{}</node>", HERE.repeat(60))).contains("more than 100 corners"));
+        let many = format!("<node>{}</node>", HERE.repeat(INSTANCES_MAX + 1));
+        let refused = points(file("", &many).as_bytes(), usize::MAX).unwrap_err();
+        assert_eq!(refused, format!("its more than {INSTANCES_MAX} instances of meshes are too many"));
         let cut = file("", HERE).replace("count=\"2\"", "count=\"18446744073709551615\"");
         assert!(points(cut.as_bytes(), 100).unwrap_err().contains("are not"));
         assert!(points(b"<COLLADA>", 100).unwrap_err().contains("no XML"));

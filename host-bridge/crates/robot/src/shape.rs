@@ -36,6 +36,40 @@ pub struct UprightBox {
     pub yaw_rad: f64,
 }
 
+/// An upright box with the sine and cosine of its heading, which take longer to compute than a distance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SetBox {
+    center_m: Point,
+    half_m: Point,
+    turn: (f64, f64),
+}
+
+impl From<&UprightBox> for SetBox {
+    fn from(upright: &UprightBox) -> Self {
+        SetBox { center_m: upright.center_m, half_m: upright.half_m, turn: upright.yaw_rad.sin_cos() }
+    }
+}
+
+impl SetBox {
+    /// Converts a point to the box's coordinates, relative to its centre and sides.
+    pub fn inside(&self, point: Point) -> Point {
+        let DVec3 { x, y, z } = point - self.center_m;
+        let (s, c) = self.turn;
+        DVec3::new(c * x + s * y, c * y - s * x, z)
+    }
+
+    /// Distance from a point to the box in m; 0 inside.
+    pub fn distance_to_point_m(&self, point: Point) -> f64 {
+        outside_m(self.inside(point), self.half_m)
+    }
+
+    /// Distance to a capsule in m; negative if they overlap (by at most the radius).
+    pub fn distance_to_capsule_m(&self, capsule: &Capsule) -> f64 {
+        let (a, b) = (self.inside(capsule.a_m), self.inside(capsule.b_m));
+        segment_to_box_m(a, b, self.half_m) - capsule.radius_m
+    }
+}
+
 impl Capsule {
     /// Converts a capsule in the coordinates of `frame` to the outer coordinates.
     #[must_use]
@@ -50,7 +84,7 @@ impl Capsule {
 
     /// Distance to a box in m; negative if they overlap (by at most the radius).
     pub fn distance_to_box_m(&self, other: &UprightBox) -> f64 {
-        segment_to_box_m(other.inside(self.a_m), other.inside(self.b_m), other.half_m) - self.radius_m
+        SetBox::from(other).distance_to_capsule_m(self)
     }
 
     /// Height of the lowest point in m.
@@ -68,14 +102,12 @@ impl Capsule {
 impl UprightBox {
     /// Converts a point to the box's coordinates, relative to its centre and sides.
     pub fn inside(&self, point: Point) -> Point {
-        let DVec3 { x, y, z } = point - self.center_m;
-        let (s, c) = self.yaw_rad.sin_cos();
-        DVec3::new(c * x + s * y, c * y - s * x, z)
+        SetBox::from(self).inside(point)
     }
 
     /// Distance from a point to the box in m; 0 inside.
     pub fn distance_to_point_m(&self, point: Point) -> f64 {
-        outside_m(self.inside(point), self.half_m)
+        SetBox::from(self).distance_to_point_m(point)
     }
 
     /// Distance between two upright boxes in m; 0 if they overlap.

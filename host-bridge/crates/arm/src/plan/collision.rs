@@ -7,13 +7,13 @@
 use std::cell::Cell;
 
 use crate::model::SerialArm;
-use crate::plan::hulls::{Hulls, NEAR_M, OnFlange, capsules_m};
+use crate::plan::hulls::{Hulls, NEAR_M, OnFlange, Shapes};
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
 use crate::solid::Solid;
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
-use host_robot::shape::{Capsule, UprightBox};
+use host_robot::shape::{Capsule, SetBox, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 use host_robot::{Odometry, Random};
 
@@ -211,7 +211,7 @@ impl World {
     fn touch(&self, joints_rad: &Joints, on_flange: &OnFlange, one: usize, two: usize) -> bool {
         let poses = self.arm.link_poses(joints_rad);
         let shapes = self.shapes(&poses, on_flange);
-        capsules_m(&shapes, one, two, f64::INFINITY) <= 0.0
+        shapes.pair_m(one, two, f64::INFINITY) <= 0.0
             && Hulls { arm: &self.arm, on_flange, poses: &poses }.pair_m(one, two, APART_M) < APART_M
     }
 
@@ -265,17 +265,19 @@ impl World {
                 (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
             })
             .collect();
-        let mut base = self.scene.base.body();
-        base.center_m -= mount_m;
+        let mut body = self.scene.base.body();
+        body.center_m -= mount_m;
         let floor_m = -mount_m.z;
         Surroundings {
             world: self,
             touch: &things.touch,
             on_flange: self.on_flange(things),
             solids: boxes.iter().map(|(_, shape)| Solid::of_box(shape)).collect(),
+            set_boxes: boxes.iter().map(|(_, shape)| SetBox::from(shape)).collect(),
             boxes,
-            base_solid: Solid::of_box(&base),
-            base,
+            base_solid: Solid::of_box(&body),
+            base: SetBox::from(&body),
+            body,
             floor_m,
             checks: Cell::new(0),
             purse: None,
@@ -308,16 +310,27 @@ impl World {
         OnFlange::new(fixed.chain(fingers).chain(held).collect(), link, &self.arm)
     }
 
-    /// Returns the numbered shapes of base, links, tool and held object in the arm's frame.
-    pub(super) fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Vec<(usize, Capsule)> {
-        let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
-        for (i, (joint, pose)) in self.arm.joints.iter().zip(poses).enumerate() {
-            shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));
-        }
+    /// Returns the shapes of base, links, tool and held object in the arm's frame.
+    pub(super) fn shapes(&self, poses: &[Pose; JOINTS + 1], on_flange: &OnFlange) -> Shapes {
+        let foot = self.arm.foot.iter().map(|shape| (0, *shape));
+        let joints = self.arm.joints.iter().zip(poses).enumerate();
+        let links = joints.flat_map(|(i, (joint, pose))| {
+            joint.shapes.iter().map(move |shape| (i + 1, shape.seen_from(pose)))
+        });
         let flange = &poses[JOINTS];
-        shapes.extend(on_flange.capsules.iter().map(|(link, shape)| (*link, shape.seen_from(flange))));
-        shapes
+        let on_flange = on_flange.capsules.iter().map(|(link, shape)| (*link, shape.seen_from(flange)));
+        Shapes::new(foot.chain(links).chain(on_flange))
     }
+}
+
+/// Two parts whose hulls are compared.
+enum Near {
+    /// A link and the base.
+    Base(usize),
+    /// A link and an obstacle.
+    Box(usize, usize),
+    /// Two links.
+    Links(usize, usize),
 }
 
 /// The scene from the arm's point of view at one placement. This type also counts the checks.
@@ -327,9 +340,12 @@ pub struct Surroundings<'w> {
     touch: &'w Touch,
     on_flange: OnFlange,
     boxes: Vec<(Part, UprightBox)>,
+    /// The same boxes, prepared for many distances.
+    set_boxes: Vec<SetBox>,
     /// The boxes as solids, for measuring their distances from hulls.
     solids: Vec<Solid>,
-    base: UprightBox,
+    body: UprightBox,
+    base: SetBox,
     base_solid: Solid,
     floor_m: f64,
     checks: Cell<u64>,
@@ -376,44 +392,76 @@ impl<'w> Surroundings<'w> {
         let poses = world.arm.link_poses(joints_rad);
         let shapes = world.shapes(&poses, &self.on_flange);
         let hulls = Hulls { arm: &world.arm, on_flange: &self.on_flange, poses: &poses };
-        // Hulls are compared only if the capsules of the two parts are near, and nearer than those of all earlier pairs.
-        let exact_m = |distance_m: f64, least_m: f64, hulls_m: &dyn Fn(f64) -> f64| {
-            if distance_m < least_m.min(NEAR_M) { distance_m.max(hulls_m(least_m)) } else { distance_m }
-        };
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
-        for &(link, shape) in &shapes {
-            let part = world.part(link);
+        // Pairs with hulls whose capsules are near each other. Their hulls are compared at the end.
+        let (mut near_own, mut near_boxes) = (Vec::new(), Vec::new());
+        for link in 0..world.tool_link() + 3 {
+            let (part, capsules) = (world.part(link), shapes.of(link));
+            let is_exact = hulls.has(link);
             // The arm's fixed base and first link never come closer to the mobile base or to the floor.
             if link >= 2 {
-                let base_m = shape.distance_to_box_m(&self.base);
-                let base_m = exact_m(base_m, own.distance_m, &|least_m| {
-                    hulls.part_from_m(link, &self.base_solid, least_m)
-                });
-                own.tighten(base_m, part, Part::Base);
-                own.tighten(
-                    self.allowed_m(shape.lowest_m() - self.floor_m, part, Part::Floor),
-                    part,
-                    Part::Floor,
-                );
+                let least = |of: &dyn Fn(&Capsule) -> f64| {
+                    capsules.iter().map(|shape| of(&shape.capsule)).fold(f64::INFINITY, f64::min)
+                };
+                let base_m = least(&|capsule| self.base.distance_to_capsule_m(capsule));
+                if is_exact && base_m < NEAR_M {
+                    near_own.push((base_m, Near::Base(link)));
+                } else {
+                    own.tighten(base_m, part, Part::Base);
+                }
+                let floor_m = least(&|capsule| capsule.lowest_m() - self.floor_m);
+                own.tighten(self.allowed_m(floor_m, part, Part::Floor), part, Part::Floor);
             }
-            let (middle_m, reach_m) = shape.bounds_m();
-            for ((other, obstacle), solid) in self.boxes.iter().zip(&self.solids) {
-                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
-                    let distance_m = shape.distance_to_box_m(obstacle);
-                    let distance_m = exact_m(distance_m, boxes.distance_m, &|least_m| {
-                        hulls.part_from_m(link, solid, least_m)
-                    });
-                    let distance_m = self.allowed_m(distance_m, part, *other);
+            for (i, ((other, _), obstacle)) in self.boxes.iter().zip(&self.set_boxes).enumerate() {
+                let mut distance_m = boxes.distance_m;
+                for shape in capsules {
+                    if obstacle.distance_to_point_m(shape.middle_m) - shape.reach_m < distance_m {
+                        distance_m = distance_m.min(obstacle.distance_to_capsule_m(&shape.capsule));
+                    }
+                }
+                // Hulls are further apart than capsules, so pairs that may touch are left out here already.
+                if distance_m >= boxes.distance_m || self.allowed_m(distance_m, part, *other).is_infinite() {
+                    continue;
+                }
+                if is_exact && distance_m < NEAR_M {
+                    near_boxes.push((distance_m, Near::Box(link, i)));
+                } else {
                     boxes.tighten(distance_m, part, *other);
                 }
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = capsules_m(&shapes, one, two, own.distance_m);
-            let distance_m = exact_m(distance_m, own.distance_m, &|least_m| hulls.pair_m(one, two, least_m));
-            own.tighten(distance_m, world.part(one), world.part(two));
+            let distance_m = shapes.pair_m(one, two, own.distance_m);
+            if distance_m < own.distance_m.min(NEAR_M) && hulls.has(one) && hulls.has(two) {
+                near_own.push((distance_m, Near::Links(one, two)));
+            } else {
+                own.tighten(distance_m, world.part(one), world.part(two));
+            }
         }
+        self.compare_hulls(&hulls, near_own, &mut own);
+        self.compare_hulls(&hulls, near_boxes, &mut boxes);
         (own, boxes)
+    }
+
+    /// Compares the hulls of pairs once each, in the order of the distances between their capsules.
+    /// The comparison ends when even the capsules are further apart than the nearest pair.
+    fn compare_hulls(&self, hulls: &Hulls<'_>, mut near: Vec<(f64, Near)>, nearest: &mut Clearance) {
+        near.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (capsules_m, pair) in near {
+            let enough_m = nearest.distance_m;
+            if capsules_m >= enough_m {
+                return;
+            }
+            let (exact_m, one, two) = match pair {
+                Near::Base(link) => (hulls.part_from_m(link, &self.base_solid, enough_m), link, Part::Base),
+                Near::Box(link, i) => {
+                    (hulls.part_from_m(link, &self.solids[i], enough_m), link, self.boxes[i].0)
+                }
+                Near::Links(one, two) => (hulls.pair_m(one, two, enough_m), one, self.world.part(two)),
+            };
+            let one = self.world.part(one);
+            nearest.tighten(self.allowed_m(capsules_m.max(exact_m), one, two), one, two);
+        }
     }
 
     /// Returns the distance, or infinity if the two parts may touch.
@@ -434,7 +482,7 @@ impl<'w> Surroundings<'w> {
     pub fn base_clearance(&self) -> Clearance {
         let mut nearest = Clearance::NOTHING;
         for (part, obstacle) in &self.boxes {
-            nearest.tighten(self.base.distance_m(obstacle), Part::Base, *part);
+            nearest.tighten(self.body.distance_m(obstacle), Part::Base, *part);
         }
         nearest
     }

@@ -5,11 +5,17 @@
 
 use crate::model::SerialArm;
 use crate::solid::Solid;
-use host_robot::shape::Capsule;
+use host_robot::shape::{Capsule, Point};
 use host_robot::{JOINTS, Pose};
 
 /// If two capsules are at least this far apart, their hulls are not compared.
 pub(super) const NEAR_M: f64 = 0.03;
+
+/// Maximum number of parts: the foot, the links, the tool, its fingers, and a held object.
+const LINKS: usize = JOINTS + 4;
+
+/// Number of capsules that most arms have at most.
+const USUAL: usize = 32;
 
 /// The lower bound of the distance if one of the parts has no hulls.
 const UNKNOWN: f64 = f64::NEG_INFINITY;
@@ -57,6 +63,11 @@ impl Hulls<'_> {
         }
     }
 
+    /// Returns whether a part has hulls.
+    pub fn has(&self, link: usize) -> bool {
+        !self.of(link).0.is_empty()
+    }
+
     /// Returns a lower bound of the distance between two parts, but at most `enough_m`.
     pub fn pair_m(&self, one: usize, two: usize, enough_m: f64) -> f64 {
         let ((one, here), (two, there)) = (self.of(one), self.of(two));
@@ -84,23 +95,56 @@ impl Hulls<'_> {
     }
 }
 
-/// Returns the distance between the capsules of two parts, but at most `within_m`.
-/// The shapes must be in the order of their link numbers.
-pub(super) fn capsules_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
-    let of = |wanted: usize| {
-        let start = shapes.partition_point(|(link, _)| *link < wanted);
-        &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
-    };
-    let mut nearest_m = within_m;
-    for (_, a) in of(one) {
-        let (a_m, a_reach_m) = a.bounds_m();
-        for (_, b) in of(two) {
-            let (b_m, b_reach_m) = b.bounds_m();
-            // If the bounding spheres are further apart than this, the exact distance cannot be smaller.
-            if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
-                nearest_m = nearest_m.min(a.distance_m(b));
+/// The capsules of all parts with their bounding spheres, in the order of their link numbers.
+pub(super) struct Shapes {
+    capsules: Vec<Bounded>,
+    /// The number of capsules before each link.
+    before: [usize; LINKS + 1],
+}
+
+/// A capsule in its bounding sphere.
+pub(super) struct Bounded {
+    pub capsule: Capsule,
+    pub middle_m: Point,
+    pub reach_m: f64,
+}
+
+impl Shapes {
+    /// Collects capsules with their link numbers. The numbers must be in ascending order.
+    pub fn new(of: impl Iterator<Item = (usize, Capsule)>) -> Self {
+        let mut shapes = Shapes { capsules: Vec::with_capacity(USUAL), before: [0; LINKS + 1] };
+        for (link, capsule) in of {
+            let (middle_m, reach_m) = capsule.bounds_m();
+            shapes.capsules.push(Bounded { capsule, middle_m, reach_m });
+            shapes.before[link + 1] += 1;
+        }
+        for link in 0..LINKS {
+            shapes.before[link + 1] += shapes.before[link];
+        }
+        shapes
+    }
+
+    /// Returns the capsules of one link.
+    pub fn of(&self, link: usize) -> &[Bounded] {
+        &self.capsules[self.before[link]..self.before[link + 1]]
+    }
+
+    /// Returns all capsules with their link numbers.
+    pub fn all(&self) -> impl Iterator<Item = (usize, &Capsule)> {
+        (0..LINKS).flat_map(|link| self.of(link).iter().map(move |bounded| (link, &bounded.capsule)))
+    }
+
+    /// Returns the distance between the capsules of two links, but at most `within_m`.
+    pub fn pair_m(&self, one: usize, two: usize, within_m: f64) -> f64 {
+        let mut nearest_m = within_m;
+        for a in self.of(one) {
+            for b in self.of(two) {
+                // If the bounding spheres are further apart than this, the exact distance cannot be smaller.
+                if a.middle_m.distance(b.middle_m) - a.reach_m - b.reach_m < nearest_m {
+                    nearest_m = nearest_m.min(a.capsule.distance_m(&b.capsule));
+                }
             }
         }
+        nearest_m
     }
-    nearest_m
 }

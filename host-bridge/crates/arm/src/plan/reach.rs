@@ -50,9 +50,9 @@ impl World {
         let mut reach = self.reach_of_body();
         let mount_m = self.scene().base.mount_m;
         let shapes = self.shapes(&self.arm().link_poses(joints_rad), &self.on_flange(things));
-        reach.0.extend(shapes.iter().flat_map(|(link, shape)| {
+        reach.0.extend(shapes.all().flat_map(|(link, shape)| {
             [shape.a_m, shape.b_m].map(|end_m| Disc {
-                part: self.part(*link),
+                part: self.part(link),
                 middle_m: (mount_m + end_m).truncate(),
                 radius_m: shape.radius_m,
             })
