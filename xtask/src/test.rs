@@ -251,7 +251,7 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
 }
 
 /// Checks that give quick feedback after a change.
-/// Without the emulators, these checks take three fifths of the time that all crates would need.
+/// Without the emulators, these checks take two thirds of the time that all crates would need.
 fn slips() -> Vec<Step> {
     vec![
         Step::new("format", format),
