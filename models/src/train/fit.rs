@@ -1,5 +1,5 @@
 //! Trains a network in a fixed number of steps with plain loops.
-//! The networks are so small that these loops take a fifth of the time of a library.
+//! The networks are so small that these loops are faster than a library.
 //! [`adapt`](super::adapt) starts from an existing network. `steps` trains new networks with the same loops.
 //! A test compares the results with those of a library.
 
