@@ -1,7 +1,7 @@
 //! Trains a network in a fixed number of steps with plain loops.
-//! The networks are so small that a library would add a hundred crates and no speed.
-//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`.
-//! A test compares the results of the two methods.
+//! The networks are so small that these loops are faster than a library.
+//! [`adapt`](super::adapt) starts from an existing network. `steps` trains new networks with the same loops.
+//! A test compares the results with those of a library.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -40,7 +40,7 @@ pub struct Steps {
 impl Steps {
     /// For a new network.
     pub const TRAIN: Self = Self {
-        count: 1500,
+        count: 4000,
         most: 6000,
         batch: 128,
         learning_rate: 3e-3,
@@ -70,11 +70,6 @@ impl Steps {
         Self { count: self.rounded, most: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
     }
 
-    /// Draws the indices of a batch's rows, of which there are `rows` in total.
-    pub(super) fn drawn(self, rows: usize, rng: &mut ChaCha8Rng) -> Vec<u32> {
-        (0..self.batch).map(|_| rng.random_range(0..rows as u32)).collect()
-    }
-
     /// Returns the probability that a network of `labels` outputs should give to a label.
     pub(super) fn target(self, is_right: bool, labels: usize) -> f32 {
         let spread = self.label_smoothing / labels as f32;
@@ -96,11 +91,52 @@ impl Steps {
     }
 }
 
-/// Returns the weight of each label. With these weights, rare labels count as much as common labels.
-pub(super) fn label_weights(rows: &[(Vec<f32>, usize)], labels: usize) -> Vec<f32> {
-    let mut counts = vec![0usize; labels];
-    rows.iter().for_each(|(_, label)| counts[*label] += 1);
-    counts.into_iter().map(|count| rows.len() as f32 / (labels * count.max(1)) as f32).collect()
+/// An input, and the index of its label.
+pub(super) type Labelled = (Vec<f32>, usize);
+
+/// The outputs that a network should learn.
+pub(super) struct Wanted {
+    pub labels: usize,
+    /// For each row, one probability per label.
+    pub values: Vec<f32>,
+    /// The rows of each label that has any.
+    of_label: Vec<Vec<u32>>,
+}
+
+impl Wanted {
+    /// The labels of the rows, smoothed.
+    pub fn labels(rows: &[Labelled], labels: usize, plan: &Steps) -> Self {
+        Self::new(rows, labels, |(_, label)| (0..labels).map(|n| plan.target(n == *label, labels)).collect())
+    }
+
+    /// The probabilities that a trained network gives to the rows.
+    #[cfg(feature = "train")]
+    pub fn probabilities(rows: &[Labelled], labels: usize, teacher: &[FloatLayer]) -> Self {
+        Self::new(rows, labels, |(input, _)| crate::tflite::infer_float(teacher, input))
+    }
+
+    fn new(rows: &[Labelled], labels: usize, of: impl Fn(&Labelled) -> Vec<f32>) -> Self {
+        let mut of_label = vec![Vec::new(); labels];
+        rows.iter().zip(0..).for_each(|((_, label), row)| of_label[*label].push(row));
+        of_label.retain(|rows| !rows.is_empty());
+        Self { labels, values: rows.iter().flat_map(of).collect(), of_label }
+    }
+
+    /// Draws the rows of a batch. All labels are equally likely, so rare labels count as much as common labels.
+    ///
+    /// If rows were drawn without regard to labels, rare labels would need large weights, and the gradient would be noisier.
+    pub fn drawn(&self, count: usize, rng: &mut ChaCha8Rng) -> Vec<u32> {
+        let mut one = || {
+            let rows = &self.of_label[rng.random_range(0..self.of_label.len())];
+            rows[rng.random_range(0..rows.len())]
+        };
+        (0..count).map(|_| one()).collect()
+    }
+
+    /// The wanted probabilities of a row.
+    fn of(&self, row: u32) -> &[f32] {
+        &self.values[row as usize * self.labels..][..self.labels]
+    }
 }
 
 /// Adam's running means of the gradients and of their squares.
@@ -110,7 +146,7 @@ const EPSILON: f32 = 1e-8;
 /// Trains an existing network on rows of inputs and their labels.
 /// Rare labels count as much as common labels, and `limit` is the largest input.
 pub(super) fn refit(
-    rows: &[(Vec<f32>, usize)],
+    rows: &[Labelled],
     labels: usize,
     start: &[FloatLayer],
     plan: &Steps,
@@ -120,11 +156,24 @@ pub(super) fn refit(
     if rows.is_empty() {
         return start.to_vec();
     }
-    let mut layers = run(rows, labels, start, plan, None, RandomStream::Member(0).of(seed));
+    let wanted = Wanted::labels(rows, labels, plan);
+    let layers = run(rows, &wanted, start, plan, None, RandomStream::Member(0).of(seed));
+    finished(layers, rows, &wanted, plan, limit, seed)
+}
+
+/// Prepares a trained network for int8: equal maxima per unit, and the steps that simulate rounding.
+pub(super) fn finished(
+    mut layers: Vec<FloatLayer>,
+    rows: &[Labelled],
+    wanted: &Wanted,
+    plan: &Steps,
+    limit: f32,
+    seed: u64,
+) -> Vec<FloatLayer> {
     equalise(&mut layers);
     if plan.rounded > 0 {
         let rounding = Rounding::new(&layers, rows, limit);
-        layers = run(rows, labels, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
+        layers = run(rows, wanted, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
     }
     layers
 }
@@ -139,7 +188,7 @@ pub(super) struct Rounding {
 
 impl Rounding {
     /// Creates the rounding, whose ranges are those of the outputs for `rows`.
-    pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
+    pub fn new(layers: &[FloatLayer], rows: &[Labelled], limit: f32) -> Self {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         Self { limit, ranges: quantise::ranges(layers, &inputs) }
     }
@@ -283,23 +332,22 @@ fn rounded(value: f32, step: f32) -> f32 {
     (value / step).round() * step
 }
 
-/// Trains by one plan; with `rounding`, the training simulates int8.
-fn run(
-    rows: &[(Vec<f32>, usize)],
-    labels: usize,
+/// Trains a network, which must not be without rows, to give the wanted outputs; with `rounding`, it simulates int8.
+pub(super) fn run(
+    rows: &[Labelled],
+    wanted: &Wanted,
     start: &[FloatLayer],
     plan: &Steps,
     rounding: Option<&Rounding>,
     mut rng: ChaCha8Rng,
 ) -> Vec<FloatLayer> {
     let mut layers: Vec<Fitting> = start.iter().map(|layer| Fitting::new(layer, plan.batch)).collect();
-    let weights = label_weights(rows, labels);
     let range = |index: usize| rounding.and_then(|rounding| rounding.ranges.get(index).copied());
     let (mut gradient, mut before) = (Vec::new(), Vec::new());
     for step in 0..plan.count {
-        let drawn = plan.drawn(rows.len(), &mut rng);
-        let chosen: Vec<&(Vec<f32>, usize)> = drawn.into_iter().map(|row| &rows[row as usize]).collect();
-        let mut batch: Vec<f32> = chosen.iter().flat_map(|(input, _)| input.iter().copied()).collect();
+        let drawn = wanted.drawn(plan.batch, &mut rng);
+        let inputs = drawn.iter().flat_map(|row| &rows[*row as usize].0);
+        let mut batch: Vec<f32> = inputs.copied().collect();
         if let Some(Rounding { limit, .. }) = rounding {
             batch.iter_mut().for_each(|value| *value = rounded(value.clamp(-limit, *limit), limit / 127.5));
         }
@@ -311,13 +359,11 @@ fn run(
         }
         gradient.clear();
         if let Some(last) = layers.last() {
-            for (logits, (_, label)) in last.made.chunks_exact(labels).zip(&chosen) {
-                let scale = weights[*label] / plan.batch as f32;
+            for (logits, row) in last.made.chunks_exact(wanted.labels).zip(&drawn) {
                 let probabilities = crate::tflite::softmax(logits);
-                let of = |(n, probability): (usize, &f32)| {
-                    scale * (probability - plan.target(n == *label, labels))
-                };
-                gradient.extend(probabilities.iter().enumerate().map(of));
+                let pairs = probabilities.iter().zip(wanted.of(*row));
+                gradient
+                    .extend(pairs.map(|(probability, wanted)| (probability - wanted) / plan.batch as f32));
             }
         }
         for index in (0..layers.len()).rev() {
@@ -364,7 +410,7 @@ mod tests {
     use super::*;
 
     /// Returns data with three labels that are far apart, and an untrained network.
-    fn task() -> (Vec<(Vec<f32>, usize)>, Vec<FloatLayer>) {
+    fn task() -> (Vec<Labelled>, Vec<FloatLayer>) {
         let mut rng = RandomStream::Order.of(1);
         let mut uniform = |low: f32, high: f32| rng.random_range(low..high);
         let centres = [[1.0, 0.0, -1.0, 0.5], [-1.0, 1.0, 0.0, -0.5], [0.0, -1.0, 1.0, 0.0f32]];
@@ -383,8 +429,8 @@ mod tests {
     #[test]
     fn steps_follow_what_there_is_to_learn_within_bounds() {
         let steps = |windows| Steps::TRAIN.following(windows).count;
-        // The numbers of recordings of two people, of thirty people, and of a crowd.
-        assert_eq!([steps(0), steps(12_000), steps(38_400), steps(147_000)], [1500, 1500, 4800, 6000]);
+        // The numbers of windows of two people, of thirty people, and of a crowd.
+        assert_eq!([steps(0), steps(12_000), steps(38_400), steps(147_000)], [4000, 4000, 4800, 6000]);
         assert_eq!(Steps::ADAPT.following(1_000_000), Steps::ADAPT);
     }
 
@@ -408,22 +454,36 @@ mod tests {
         assert_eq!(refit(&[], 3, &start, &SHORT, 2.0, 1), start);
     }
 
+    #[test]
+    fn a_label_with_few_rows_is_drawn_as_often_as_one_with_many() {
+        let rows: Vec<Labelled> = (0..1000).map(|n| (vec![0.0], if n < 10 { 0 } else { 2 })).collect();
+        let wanted = Wanted::labels(&rows, 3, &SHORT);
+        let drawn = wanted.drawn(10_000, &mut RandomStream::Order.of(1));
+        let rare = drawn.iter().filter(|row| **row < 10).count();
+        // The standard deviation is 50.
+        assert!((4800..5200).contains(&rare), "{rare} of 10000");
+        assert!(drawn.iter().all(|row| *row < 1000));
+    }
+
     /// The library computes gradients in another way.
     #[cfg(feature = "train")]
     #[test]
     fn plain_loops_and_the_library_come_to_the_same_network() {
-        use super::super::steps::{Start, fit};
+        use super::super::library;
         let (rows, start) = task();
-        for rounded in [0, 20] {
-            let plan = Steps { rounded, ..SHORT };
-            let plain = refit(&rows, 3, &start, &plan, 2.0, 1);
-            let library = fit(&rows, 3, &Start::Layers(&start), &plan, 2.0, 1).unwrap();
-            for (one, two) in plain.iter().zip(&library) {
+        let wanted = Wanted::labels(&rows, 3, &SHORT);
+        let rounding = Rounding::new(&start, &rows, 2.0);
+        for rounding in [None, Some(&rounding)] {
+            let plan = Steps { count: if rounding.is_none() { 60 } else { 20 }, ..SHORT };
+            let rng = || RandomStream::Member(0).of(1);
+            let plain = run(&rows, &wanted, &start, &plan, rounding, rng());
+            let by_library = library::run(&rows, &wanted, &start, &plan, rounding, rng()).unwrap();
+            for (one, two) in plain.iter().zip(&by_library) {
                 let values = one.weights.concat().into_iter().chain(one.biases.clone());
                 let others = two.weights.concat().into_iter().chain(two.biases.clone());
                 let apart = values.zip(others).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
                 // When values are rounded to steps, a difference of a thousandth occasionally becomes a full step.
-                assert!(apart < if rounded == 0 { 1e-3 } else { 2e-2 }, "{rounded}: {apart}");
+                assert!(apart < if rounding.is_none() { 1e-3 } else { 2e-2 }, "{apart}");
             }
         }
     }

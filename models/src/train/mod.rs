@@ -12,6 +12,8 @@ mod epochs;
 mod fit;
 #[cfg(feature = "train")]
 mod learn;
+#[cfg(all(test, feature = "train"))]
+mod library;
 mod memory;
 #[cfg(feature = "train")]
 mod net;

@@ -2,7 +2,6 @@
 
 use candle_core::{Result, Tensor, Var};
 
-use super::fit::Rounding;
 use crate::tflite::FloatLayer;
 
 /// Weights (inputs × outputs) and biases of each layer.
@@ -23,29 +22,6 @@ pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
         }
     }
     Ok(x)
-}
-
-/// As [`forward`], with the rounding of int8. The gradient ignores the rounding.
-pub(super) fn forward_rounded(layers: &Layers, inputs: &Tensor, rounding: &Rounding) -> Result<Tensor> {
-    let limit = f64::from(rounding.limit);
-    let mut x = steps(&inputs.clamp(-limit, limit)?, limit / 127.5)?;
-    for (index, ((weights, biases), (low, high))) in layers.iter().zip(&rounding.ranges).enumerate() {
-        let (low, high) = (f64::from(*low), f64::from(*high));
-        let largest = weights.as_tensor().detach().abs()?.max_all()?.to_scalar::<f32>()?;
-        let weights = steps(weights.as_tensor(), f64::from(largest).max(1e-9) / 127.0)?;
-        x = x.matmul(&weights)?.broadcast_add(biases)?;
-        if index + 1 < layers.len() {
-            x = x.relu()?;
-        }
-        x = steps(&x.clamp(low, high)?, (high - low).max(1e-9) / 255.0)?;
-    }
-    Ok(x)
-}
-
-/// Rounds to whole steps; the gradient is that of the values before rounding.
-fn steps(x: &Tensor, step: f64) -> Result<Tensor> {
-    let rounded = x.detach().affine(1.0 / step, 0.0)?.round()?.affine(step, 0.0)?;
-    x + (rounded - x.detach())?
 }
 
 /// Exports the layers as plain numbers, from weights (inputs × outputs) and biases.

@@ -19,7 +19,7 @@ use crate::train::TrainError;
 use crate::train::fit::Steps;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
-use crate::train::steps::{self, Start};
+use crate::train::steps;
 use crate::train::vary::{self, Kind, vary};
 use crate::windows::{aligned_features, cut, prepare};
 
@@ -147,11 +147,10 @@ impl Recipe for Aligned {
 
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, _: &ProgressBar) -> Result<Fitted, TrainError> {
         let Learnt { rows, labels, limit, of_recordings, .. } = *learnt;
-        let start = Start::Widths(&crate::ALIGNED_MEMBER_HIDDEN);
         let plan = self.steps.following(of_recordings);
-        let merged = steps::fit(rows, labels, &start, &plan, limit, seed)?;
+        let merged = steps::fit(rows, labels, &crate::ALIGNED_MEMBER_HIDDEN, &plan, limit, seed);
         let layers = match self.student {
-            Some(hidden) => steps::distil(rows, labels, &merged, &hidden, &plan, limit, seed)?,
+            Some(hidden) => steps::distil(rows, labels, &merged, &hidden, &plan, limit, seed),
             None => merged,
         };
         let epochs = (plan.count * plan.batch).div_ceil(rows.len().max(1));
