@@ -69,7 +69,7 @@ impl Piece {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimeMap {
     at_s: f64,
-    /// The ramp replaces this much time of the unchanged motion.
+    /// The unchanged motion needs this time for the way on which the ramp takes `ramp_s`.
     covered_s: f64,
     ramp_s: f64,
     factor: f64,
@@ -86,10 +86,10 @@ impl TimeMap {
     }
 }
 
-/// A motion with a changed speed.
+/// A motion with a changed speed, and its times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Paced {
-    /// The changed motion.
+    /// The motion.
     pub trajectory: Trajectory,
     /// Its times.
     pub map: TimeMap,
@@ -223,9 +223,7 @@ impl Trajectory {
 
     /// Changes the speed by this factor from `at_s` on, on the same path, as quickly as the limits allow.
     ///
-    /// The speed changes only where it is constant, which is the case on a straight segment.
-    /// There, the change is a further ramp, and everything after it is scaled as in [`Trajectory::at_pace`].
-    /// All limits therefore hold if they hold for the scaled motion.
+    /// The change is a further ramp, and everything after it is scaled as in [`Trajectory::at_pace`].
     /// The result is `None` if the speed is not constant at `at_s`, or not for long enough.
     pub fn paced(&self, at_s: f64, factor: f64, limits: &JointLimits) -> Option<Paced> {
         let k = self.pieces.iter().position(|piece| {
@@ -235,7 +233,6 @@ impl Trajectory {
         let before = even.from.velocity_rad_s;
         let after = scaled(&before, factor);
         let ramp = ramp(&minus(&after, &before), limits);
-        // The ramp covers this part of the segment, for which the unchanged motion needs this time.
         let covered_s = 0.5 * (1.0 + factor) * ramp.duration_s;
         let left_s = even.start_s + even.duration_s - at_s - covered_s;
         if !(factor > 0.0 && left_s > 0.0) {
