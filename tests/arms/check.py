@@ -26,6 +26,9 @@ STRETCH = next(iter(p for p in pathlib.Path(sys.prefix).rglob("stretch_urdf/SE3"
 # other: 4.7 mm between forearm and second wrist of a UR5. Ways with a smaller margin are asked for, in mm.
 MARGINS_MM = {"ur3": 3, "ur5": 3, "ur10": 3, "tiago": 3, "stretch": 3}
 
+# Of 30 pairs, so many ways are found. The other arms find all.
+LEAST = {"ur3": 25, "ur5": 29, "ur10": 29}
+
 # Name: file, root, tip.
 ARMS = {
     "panda": (f"{ROBOTS}/panda_description/urdf/panda.urdf", "panda_link0", "panda_hand"),
@@ -168,7 +171,7 @@ def main():
                 contacts += found[0] <= 0
                 least = min(least, found, key=lambda near: near[0])
         planned = len(ways["ways"])
-        holds = contacts == 0
+        holds = contacts == 0 and (pairs != "30" or planned == 0 or planned >= LEAST.get(name, 30))
         failures += not holds
         judged += holds and planned > 0
         print(
