@@ -42,7 +42,7 @@ LONGEST_S = 10.0
 # Goals: of the median planning time at 0.1/0.05, of the mean duration, and of the time of the best of several.
 HALF, SHORTER, BEST_S = 0.5, 0.6, 0.060
 # In these scenes and with these scalings, the goal for the duration is not met yet.
-OWED = {("shelf", "0.1/0.05"), ("shelf", "1/1"), ("bins", "0.1/0.05"), ("bins", "1/1")}
+OWED = {("shelf", "1/1"), ("bins", "0.1/0.05"), ("bins", "1/1")}
 
 
 class Planner:
