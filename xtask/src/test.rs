@@ -434,6 +434,13 @@ fn arms() -> Result<()> {
     sh(check.args([
         "30", "panda", "xarm7", "so100", "so101", "z1", "j2s6s200", "pr2", "stretch", "ur5", "ur10",
     ]))?;
+    // Times are compared, so this example is optimised like the program that users build.
+    sh(&mut cargo(&["build", "--release", "--locked", "-p", "host-arm", "--example", "plan-beside"]))?;
+    sh(Command::new(&python)
+        .current_dir(root())
+        .arg("tests/arms/beside_ompl.py")
+        .arg(target_dir().join("release/examples/plan-beside"))
+        .arg("1"))?;
     sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
     let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
     let mut gen3 = Command::new(python);

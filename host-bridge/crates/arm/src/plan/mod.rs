@@ -9,6 +9,7 @@
 //!
 //! * [`collision`]: distances between robot and scene (`hulls` measures parts that are near each other exactly),
 //! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
+//! * `polish`: quicker corners of a path,
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
 //! * [`guard`]: permits only motion from which the robot can still stop,
 //! * [`reach`]: the speed of the robot's outermost point while the base moves.
@@ -18,6 +19,7 @@ pub mod guard;
 mod hulls;
 pub mod line;
 pub mod planner;
+mod polish;
 pub mod purse;
 pub mod reach;
 pub mod rrt;

@@ -6,6 +6,7 @@ use crate::model::{JointError, SerialArm};
 use crate::motions::{MotionError, joints_of};
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
 use crate::plan::line;
+use crate::plan::polish::polish;
 use crate::plan::purse::Purse;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
@@ -18,9 +19,15 @@ const CHECKS_MAX: u64 = 30_000;
 /// Maximum number of plans that are compared for one motion.
 const TRIES_MAX: u64 = 12;
 
-/// After this number of checks, no further plan of a motion is compared.
-/// The planner counts checks instead of measuring time. This many checks take about 60 ms on one core.
-pub const COMPARING_CHECKS_MAX: u64 = 12_000;
+/// After this number of checks, a motion's plan is not improved any more.
+/// The planner counts checks instead of measuring time. This many checks take less than 60 ms on one core.
+pub const COMPARING_CHECKS_MAX: u64 = 18_000;
+
+/// This many of these checks are kept for moving the corners of the best plan.
+const POLISHING_CHECKS_MAX: u64 = 9_000;
+
+/// This many of those are kept for the final check of the rounded corners.
+const ROUNDING_CHECKS_MAX: u64 = 2_000;
 
 /// Interval at which cut corners are checked for the path of braking.
 const BRAKING_INTERVAL_S: f64 = 0.05;
@@ -309,8 +316,9 @@ impl Planner {
         }
     }
 
-    /// Returns the quickest of several plans with different seeds.
-    /// As many plans are compared as fit into a motion's first [`COMPARING_CHECKS_MAX`] checks.
+    /// Returns the quickest of several plans with different seeds, with corners that are moved to save time.
+    /// As many plans are compared as fit into a motion's first [`COMPARING_CHECKS_MAX`] checks,
+    /// less those that are kept for the corners.
     ///
     /// # Errors
     /// Returns the error of [`Planner::plan_among`] for the first plan.
@@ -324,7 +332,7 @@ impl Planner {
         let mut best = self.plan_among(from_rad, to_rad, case, turn)?;
         let mut dearest = best.checks;
         for k in 1..TRIES_MAX {
-            let left = COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent());
+            let left = (COMPARING_CHECKS_MAX - POLISHING_CHECKS_MAX).saturating_sub(case.purse.spent());
             // No plan is quicker than a straight one.
             if best.kind == Kind::Straight || left < dearest {
                 break;
@@ -339,7 +347,26 @@ impl Planner {
                 best = other;
             }
         }
+        if best.kind == Kind::Around
+            && let Some(quicker) = self.polished(&best, case, turn)
+        {
+            (best.trajectory, best.path_rad) = quicker;
+        }
         Ok(best)
+    }
+
+    /// Returns a quicker motion on a changed path, if there is one.
+    fn polished(&self, plan: &Plan, case: Case<'_>, turn: u64) -> Option<(Trajectory, Vec<Joints>)> {
+        let purse = case.purse.apart(COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent()));
+        let around = self.around(Case { purse: &purse, ..case });
+        let margin_m = self.start_margin_m(&around, &plan.path_rad[0]).ok()?;
+        let checks_max = purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
+        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
+        let search = Search { margin_m, checks_max, seed };
+        let path_rad = polish(&around, &plan.path_rad, &self.limits, &search, CHOICE_CORNERS_MAX);
+        let trajectory = self.quickest(&around, &path_rad, margin_m);
+        case.purse.spend(purse.spent());
+        (trajectory.duration_s() < plan.trajectory.duration_s()).then_some((trajectory, path_rad))
     }
 
     /// Returns a path from rest to rest, straight or around obstacles.
