@@ -70,7 +70,7 @@ impl<R: Robot> Director<R> {
         if !self.reaching.is_told {
             self.reaching.is_told = true;
             let text = format!(
-                "the base is slowed to {:.0} %: {} is {:.2} m from its middle",
+                "the base is slowed to {:.0} % because of {}, {:.2} m from its middle",
                 100.0 * share,
                 world.name(outermost.part),
                 outermost.from_middle_m
