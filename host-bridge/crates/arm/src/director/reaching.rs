@@ -19,7 +19,7 @@ use super::Director;
 
 /// The bridge repeats its commands at this interval.
 const REPEATED_S: f64 = 0.02;
-/// Maximum interval at which the arm's future motion is considered, if the arm reaches far.
+/// Interval at which the arm's future motion is considered.
 const LOOK_S: f64 = 0.05;
 
 /// The cap, and what is known about the arm.
@@ -54,19 +54,10 @@ impl<R: Robot> Director<R> {
         let mut fastest = world.reach_of_body().outermost(twist, 0.0);
         // Straight ahead, all points have the same speed.
         if twist.angular_rad_s != 0.0 {
-            // The arm usually stays far enough within the cap, and then a single look is enough.
-            let looks_s = [f64::INFINITY, LOOK_S];
-            for (k, look_s) in looks_s.into_iter().enumerate() {
-                let soon = self.arm_soon(twist, look_s);
-                let arm = soon.iter().filter_map(|(joints_rad, off_m)| {
-                    world.reach(joints_rad, &self.things).outermost(twist, *off_m)
-                });
-                let all = fastest.into_iter().chain(arm).max_by(|a, b| a.speed_m_s.total_cmp(&b.speed_m_s));
-                let is_slow = all.is_some_and(|outermost| outermost.speed_m_s <= cap_m_s);
-                if is_slow || k + 1 == looks_s.len() {
-                    fastest = all;
-                    break;
-                }
+            for (joints_rad, off_m) in self.arm_soon(twist) {
+                let outermost = world.reach(&joints_rad, &self.things).outermost(twist, off_m);
+                fastest =
+                    fastest.into_iter().chain(outermost).max_by(|a, b| a.speed_m_s.total_cmp(&b.speed_m_s));
             }
         }
         let Some(outermost) = fastest else { return twist };
@@ -79,7 +70,7 @@ impl<R: Robot> Director<R> {
         if !self.reaching.is_told {
             self.reaching.is_told = true;
             let text = format!(
-                "the base is slowed to {:.0} %: {} is {:.2} m from its middle",
+                "the base is slowed to {:.0} % because of {}, {:.2} m from its middle",
                 100.0 * share,
                 world.name(outermost.part),
                 outermost.from_middle_m
@@ -89,9 +80,9 @@ impl<R: Robot> Director<R> {
         Twist { linear_m_s: share * twist.linear_m_s, angular_rad_s: share * twist.angular_rad_s }
     }
 
-    /// Returns angles of the arm, now and until the base could be at rest, at intervals of `look_s` at most.
-    /// Each is returned with the maximum distance of the arm's points from there within its interval.
-    fn arm_soon(&self, twist: Twist, look_s: f64) -> Vec<(Joints, f64)> {
+    /// Returns angles of the arm, now and until the base could be at rest.
+    /// Each is returned with the maximum distance of the arm from there until the next angles.
+    fn arm_soon(&self, twist: Twist) -> Vec<(Joints, f64)> {
         let Some(seen_rad) = self.reaching.seen_rad else { return Vec::new() };
         let mut poses = vec![(seen_rad, 0.0)];
         let Some(reported) = self.robot.arm() else { return poses };
@@ -110,17 +101,13 @@ impl<R: Robot> Director<R> {
         let base_age_ms = self.robot.base().map_or(0, |reading| reading.age_ms);
         let late_s = (self.robot.reaction_ms() + base_age_ms) as f64 / 1000.0;
         let end_s = (elapsed_s + REPEATED_S + late_s + braking_s).min(trajectory.duration_s());
-        let long_s = (end_s - elapsed_s).max(0.0);
-        if long_s == 0.0 {
-            return poses;
-        }
-        let count = (long_s / look_s).ceil().max(1.0);
-        let half_s = 0.5 * long_s / count;
-        poses.extend((0..count as usize).map(|k| {
-            let middle_s = elapsed_s + half_s * (2 * k + 1) as f64;
-            let fastest_rad_s = trajectory.fastest_rad_s(middle_s - half_s, middle_s + half_s);
-            let off_m = self.site.world().displacement_m(&fastest_rad_s.map(|speed| half_s * speed));
-            (trajectory.motion(middle_s).joints_rad, off_m)
+        let count = ((end_s - elapsed_s).max(0.0) / LOOK_S).ceil() as usize;
+        poses.extend((0..count).map(|k| {
+            let from_s = elapsed_s + LOOK_S * k as f64;
+            let fastest_rad_s = trajectory.fastest_rad_s(from_s, from_s + LOOK_S);
+            // No point is further away than this from its place in the middle.
+            let off_m = self.site.world().displacement_m(&fastest_rad_s.map(|speed| 0.5 * LOOK_S * speed));
+            (trajectory.motion(from_s + 0.5 * LOOK_S).joints_rad, off_m)
         }));
         poses
     }
