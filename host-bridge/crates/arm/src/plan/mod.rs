@@ -13,6 +13,7 @@
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
 //! * [`guard`]: permits only motion from which the robot can still stop.
 
+mod clearance;
 pub mod collision;
 pub mod guard;
 mod hulls;
