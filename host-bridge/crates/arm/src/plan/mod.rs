@@ -14,6 +14,7 @@
 //! * [`guard`]: permits only motion from which the robot can still stop,
 //! * [`reach`]: the speed of the robot's outermost point while the base moves.
 
+mod clearance;
 pub mod collision;
 pub mod guard;
 mod hulls;
