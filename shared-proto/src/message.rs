@@ -34,7 +34,7 @@ pub use table::{BoardBody, Boards, Row};
 /// The major version increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// This number increases when a message is added. The older side ignores messages that it does not know.
-pub const PROTOCOL_MINOR: u8 = 5;
+pub const PROTOCOL_MINOR: u8 = 6;
 
 board_messages! {
     /// Messages from a board to the laptop.

@@ -351,12 +351,18 @@ fn a_hand_moves_the_tool_and_the_arm_brakes_when_the_other_hand_does_not_rest() 
     let after_ms = |v: &Value| (number(&v["t"]) - bridge.seen[halt].0) * 1000.0;
     let pieces: Vec<&Value> =
         robot.seen[moving..rests].iter().map(|(_, v)| v).filter(|v| is_piece(v)).collect();
-    let (brakes_ms, rests_ms) = (after_ms(pieces[pieces.len() - 1]), after_ms(&robot.seen[rests].1));
+    let braking = pieces[pieces.len() - 1];
+    let (brakes_ms, rests_ms) = (after_ms(braking), after_ms(&robot.seen[rests].1));
+    let end = braking["points"].as_array().unwrap().last().unwrap();
+    let commanded_ms = number(&end[0]) * 1000.0;
     println!(
-        "the clutch opens: the piece that brakes is at the robot {brakes_ms:.0} ms after the halt was printed, the arm \
-         rests after {rests_ms:.0} ms"
+        "the clutch opens: the piece that brakes is at the robot {brakes_ms:.0} ms after the halt was printed; it ends \
+         after {commanded_ms:.0} ms; the arm rests after {rests_ms:.0} ms"
     );
-    assert!(!was_quiet || brakes_ms <= 50.0 && rests_ms <= 50.0 + 330.0, "{brakes_ms} {rests_ms}");
+    assert!(!was_quiet || brakes_ms <= 50.0, "{brakes_ms}");
+    // How long the arm takes is judged by what it was told, because its own process may be late on a busy machine.
+    assert!(commanded_ms <= 330.0, "{braking}");
+    assert!(end[2].as_array().unwrap().iter().all(|speed| number(speed) == 0.0), "{braking}");
     let there = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
     assert!(there.zip(HOME).any(|(there, home)| (there - home).abs() > 0.02), "{}", robot.seen[rests].1);
 
