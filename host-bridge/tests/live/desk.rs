@@ -143,7 +143,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
     );
-    for word in ["protocol 1.5", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    for word in ["protocol 1.6", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }
