@@ -19,6 +19,7 @@ use crate::episodes::Mark;
 use crate::intent::{MotionMap, SpeedRules, is_rest, same_label};
 use crate::jog::JogRules;
 use crate::keyboard::KeyTimes;
+use crate::one_handed::OneHanded;
 use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
 use crate::safety::PerHand;
@@ -60,6 +61,8 @@ pub struct Config {
     pub drive: TiltDrive,
     /// The rules by which the left hand controls the arm, and the tool's speed in that case. Off by default.
     pub jog: JogRules,
+    /// The right hand alone: its own tilt drives the base. Off by default.
+    pub one_handed: OneHanded,
     /// The vibration signals for the wearer of the right hand.
     pub vibration: Vibration,
     /// The times after which silent hands stop the robot.
@@ -251,8 +254,10 @@ impl Config {
 
     /// Creates a bridge as configured here.
     pub fn bridge(&self, map: MotionMap) -> Bridge {
-        let bridge =
-            Bridge::with(map, self.speed, self.safety).driving(self.drive).jogging_by(self.jog.clone());
+        let bridge = Bridge::with(map, self.speed, self.safety)
+            .driving(self.drive)
+            .jogging_by(self.jog.clone())
+            .one_handed(self.one_handed, self.tilt);
         match self.restriction() {
             Some(restriction) => bridge.restricted(restriction),
             None => bridge,
@@ -317,6 +322,7 @@ impl Config {
             "keyboard: end_arm is one small letter, other than q, r, z and those that mark episodes (b, e, a, g, n)",
         )?;
         self.check_jog()?;
+        self.check_one_handed()?;
         ensure(
             self.motion.iter().all(|motion| motion.name != MotionName::END_ARM),
             "motion: the name end-arm is taken: as a label's motion it ends the one under way",
@@ -365,6 +371,27 @@ impl Config {
             )?;
         }
         Ok(())
+    }
+
+    fn check_one_handed(&self) -> Result<(), ConfigError> {
+        let ensure = |sound: bool, what: &str| {
+            if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
+        };
+        ensure(
+            self.one_handed.is_sound(),
+            "one_handed: forward, left and up name three different axes (such as '+x', '+y' and '+z'), and neutral_pitch_mrad \
+             and neutral_roll_mrad are at most 524 (30°) off level",
+        )?;
+        let inputs = self.inputs();
+        ensure(
+            !self.one_handed.on || inputs.left == HandInput::Nobody,
+            "one-handed: the right hand drives the base, so there is no left hand: leave out --left and the left hand's port, \
+             or leave out --one-handed (on = false under [one_handed])",
+        )?;
+        ensure(
+            !self.one_handed.on || inputs.right != HandInput::Keyboard,
+            "one-handed: keys have no tilt: give the port of the right hand's board with --right",
+        )
     }
 
     fn check_jog(&self) -> Result<(), ConfigError> {
@@ -492,6 +519,10 @@ mod tests {
             "[jog]\nlabel = 'idle'",
             "[jog]\nlabel = 'up-down'",
             "[jog]\nlabel = 'wave'\n[motions]\nWave = 'pick-up'",
+            "[one_handed]\nleft = '+x'",
+            "[one_handed]\nneutral_pitch_mrad = 600",
+            "[one_handed]\non = true\n[ports]\nleft = '/dev/ttyUSB0'\nright = '/dev/ttyACM0'",
+            "[one_handed]\non = true\n[ports]\nright = 'keyboard'",
             "[jog]\nlabel = 'wave'\n[marks]\nwave = 'begin'",
             "[keyboard]\nfirst_press_ms = 10000",
             "[arm]\nvelocity_scaling = 3.0",
@@ -521,6 +552,16 @@ mod tests {
         assert!(config.jog.is_on() && !Config::default().jog.is_on());
         assert_eq!(config.motion_map().motion("circle"), None);
         assert_eq!(Config::parse(&config.to_toml()).unwrap(), config);
+    }
+
+    #[test]
+    fn one_handed_mode_is_off_by_default_and_its_file_reads_back() {
+        assert!(!Config::default().one_handed.on);
+        let text = "[one_handed]\non = true\nforward = '-y'\nleft = '+x'\n[ports]\nright = 'ble'\n";
+        let config = Config::parse(text).unwrap();
+        assert_eq!(Config::parse(&config.to_toml()).unwrap(), config);
+        let exchanged = format!("left_handed = true\n{}", text.replace("right = 'ble'", "left = 'ble'"));
+        assert!(Config::parse(&exchanged).is_ok(), "the left port is then that of the gesture board");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{MAX_AXES, MAX_LABELS};
 use shared_proto::message::{
     About, Ack, AckResult, Board, BoardBody, Bytes, Fault, FaultKind, Hello, HostMessage, Mode, ModelInfo,
-    Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
+    Pong, RAW_COUNTS_MAX, RawImu, RightState, RightTilt, SCORES_MAX, Status, health,
 };
 
 /// [`RightBoard::silence`] is due after this time without a sample, and again after each further period.
@@ -47,6 +47,7 @@ pub struct RightBoard<H> {
     /// Whether a hello was sent since start.
     greeted: bool,
     raw: RawBatch,
+    tilt: MeanTilt,
     faults: FaultLog,
     almost: Almost,
     /// Whether a movement was nearly a gesture since the light was last asked for.
@@ -69,6 +70,7 @@ impl<H: Hand> RightBoard<H> {
             vibration: Vibration::default(),
             greeted: false,
             raw: RawBatch::new(),
+            tilt: MeanTilt::default(),
             faults: FaultLog::new(),
             almost,
             was_near: false,
@@ -84,6 +86,7 @@ impl<H: Hand> RightBoard<H> {
         match self.mode {
             Mode::Classify => {
                 self.board_time_ms = time_ms;
+                self.tilt.push(&self.hand, sample);
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
@@ -118,6 +121,7 @@ impl<H: Hand> RightBoard<H> {
     pub fn gap(&mut self) {
         self.hand.gap();
         self.raw.clear();
+        self.tilt.samples = 0;
     }
 
     /// Reports that no sample arrived for [`SILENCE_MS`]. This empties the window and informs the laptop.
@@ -195,9 +199,8 @@ impl<H: Hand> RightBoard<H> {
                 }
                 return None;
             }
-            HostMessage::Calibrate { request, .. } | HostMessage::SetThresholds { request, .. } => {
-                (request, AckResult::Unsupported)
-            }
+            HostMessage::Calibrate { request, .. } => (request, AckResult::Unsupported),
+            HostMessage::SetThresholds { request, .. } => (request, self.send_tilt(trusted)),
             HostMessage::SetMode { request, mode } => (request, self.set_mode(mode, trusted)),
             HostMessage::ModelBegin(_)
             | HostMessage::ModelChunk { .. }
@@ -278,6 +281,19 @@ impl<H: Hand> RightBoard<H> {
             return AckResult::Unsupported;
         }
         self.mode = mode;
+        self.tilt.samples = 0;
+        AckResult::Ok
+    }
+
+    /// Sends the tilt with each state from now on. The laptop applies the thresholds.
+    fn send_tilt(&mut self, trusted: bool) -> AckResult {
+        if !trusted {
+            return AckResult::NotBonded;
+        }
+        if self.hand.scale().is_none() {
+            return AckResult::Unsupported;
+        }
+        self.tilt.is_on = true;
         AckResult::Ok
     }
 
@@ -307,6 +323,7 @@ impl<H: Hand> RightBoard<H> {
             health: flags,
         };
         send::<{ RightState::FRAME_MAX }>(&state, out);
+        self.tilt.send(self.sequence, self.hand.scale(), out);
         self.sequence = self.sequence.wrapping_add(1);
     }
 }
@@ -359,6 +376,42 @@ impl RawBatch {
         send::<{ RawImu::FRAME_MAX }>(&batch, out);
         self.sequence = self.sequence.wrapping_add(1);
         self.clear();
+    }
+}
+
+/// The acceleration of the current hop.
+#[derive(Clone, Copy, Debug, Default)]
+struct MeanTilt {
+    is_on: bool,
+    samples: usize,
+    sum: [i32; 3],
+}
+
+impl MeanTilt {
+    fn push<H: Hand>(&mut self, hand: &H, sample: &H::Sample) {
+        if !self.is_on {
+            return;
+        }
+        if self.samples == 0 {
+            self.sum = [0; 3];
+        }
+        let mut counts = [0; MAX_AXES];
+        hand.counts(sample, &mut counts);
+        for (sum, count) in self.sum.iter_mut().zip(counts) {
+            *sum = sum.wrapping_add(count.into());
+        }
+        self.samples += 1;
+    }
+
+    /// Sends the mean of a complete hop. A hop with missing samples has no tilt.
+    fn send(&mut self, sequence: u16, scale: Option<[f32; 3]>, out: &mut impl FrameOut) {
+        if let Some([m_s2, ..]) = scale.filter(|_| self.samples == HOP) {
+            let factor = m_s2 * (1000.0 / HOP as f32);
+            // The cast saturates.
+            let acceleration_mm_s2 = self.sum.map(|sum| (sum as f32 * factor) as i16);
+            send::<{ RightTilt::FRAME_MAX }>(&RightTilt { sequence, acceleration_mm_s2 }, out);
+        }
+        self.samples = 0;
     }
 }
 

@@ -14,7 +14,7 @@ use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
 use shared_proto::message::{
     About, AckResult, Board, BoardMessage, Bytes, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,
-    ResetCause, Sensor, Signal, Status, Text, health,
+    ResetCause, Sensor, Signal, Status, Text, TiltThresholds, health,
 };
 
 const SCALE: [f32; 3] = [0.01, 0.07, 0.014];
@@ -392,4 +392,80 @@ fn the_light_shows_once_that_a_movement_was_nearly_a_gesture() {
     // At 0.35, the movement is far from a gesture.
     assert_eq!(hops(&mut board, [37, -38]), Light::Well);
     assert_eq!(hops(&mut board, [127, -128]), Light::Well);
+}
+
+/// Adds samples that are all equal. One count of the rig is 0.01 m/s².
+fn hold(rig: &mut Rig<'_>, counts: [i16; 3], samples: u32) {
+    for _ in 0..samples {
+        if rig.board.sample(&counts, rig.number * 10, rig.number) {
+            rig.board.send_due(&mut rig.line);
+        }
+        rig.number += 1;
+    }
+}
+
+fn tilts(line: &Line) -> Vec<(u16, [i16; 3])> {
+    line.all(|m| match m {
+        BoardMessage::Tilt(tilt) => Some((tilt.sequence, tilt.acceleration_mm_s2)),
+        _ => None,
+    })
+}
+
+fn thresholds(request: u16) -> HostMessage<'static> {
+    HostMessage::SetThresholds { request, thresholds: TiltThresholds::DEFAULT }
+}
+
+#[test]
+fn the_tilt_is_sent_after_each_state_once_it_was_asked_for_and_also_after_recording() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    hold(&mut rig, [0, 0, 981], 16);
+    assert_eq!(tilts(&rig.line), [], "nobody asked");
+    rig.send(&thresholds(5));
+    assert_eq!(rig.line.acks(), [(5, AckResult::Ok)]);
+    rig.line.clear();
+    // Four samples of each pose: the mean over the hop.
+    hold(&mut rig, [-100, 50, 900], 4);
+    hold(&mut rig, [-200, 51, 1000], 4);
+    hold(&mut rig, [i16::MIN, i16::MAX, 981], 8);
+    let sent = tilts(&rig.line);
+    assert_eq!(sent, [(2, [-1500, 505, 9500]), (3, [i16::MIN, i16::MAX, 9810])]);
+    let order = rig.line.all(|m| Some(matches!(m, BoardMessage::Tilt(_))));
+    assert_eq!(order, [false, true, false, true], "each after its state");
+    let sequences: Vec<u16> = rig.states().iter().map(|state| state.0).collect();
+    assert_eq!(sequences, [2, 3]);
+
+    rig.line.clear();
+    rig.send(&HostMessage::SetMode { request: 6, mode: Mode::Record });
+    hold(&mut rig, [0, 0, 981], 12);
+    assert_eq!(tilts(&rig.line), [], "raw samples only");
+    rig.send(&HostMessage::SetMode { request: 7, mode: Mode::Classify });
+    hold(&mut rig, [0, 0, 981], 16);
+    assert!(!tilts(&rig.line).is_empty() && tilts(&rig.line).iter().all(|(_, a)| *a == [0, 0, 9810]));
+}
+
+#[test]
+fn a_hop_with_missing_samples_has_no_tilt_and_a_silent_sensor_none_at_all() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.send(&thresholds(1));
+    hold(&mut rig, [0, 0, 981], 5);
+    rig.board.gap();
+    hold(&mut rig, [100, 0, 981], 8);
+    let sent = tilts(&rig.line);
+    assert_eq!(sent.len(), 1);
+    assert_eq!(sent[0].1, [1000, 0, 9810], "nothing from before the gap");
+    rig.line.clear();
+    rig.board.silence(&mut rig.line);
+    assert_eq!((rig.states().len(), tilts(&rig.line).len()), (1, 0));
+}
+
+#[test]
+fn an_untrusted_link_gets_no_tilt() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.board.receive(&thresholds(3), false, 0, &mut rig.line);
+    assert_eq!(rig.line.acks(), [(3, AckResult::NotBonded)]);
+    hold(&mut rig, [0, 0, 981], 16);
+    assert_eq!(tilts(&rig.line), []);
 }

@@ -66,6 +66,9 @@ board_messages! {
         9 About(About) => Right, 1;
         /// One sample of a left hand's converter. The board sends it only in record mode.
         10 RawAdc(RawAdc) => Left, 3;
+        /// The mean acceleration of one hop, from which a laptop computes the tilt of the right hand.
+        /// The board sends it after each state, but only once [`HostMessage::SetThresholds`] has requested it.
+        11 Tilt(RightTilt) => Right, 6;
     }
 }
 
@@ -94,6 +97,7 @@ host_messages! {
             step: CalibrationStep,
         } => Both, 0;
         /// Changes the left hand's tilt thresholds until the next restart.
+        /// A right hand's board since 1.6 sends [`RightTilt`] until the next restart; older ones refuse the request.
         4 SetThresholds {
             /// Echoed in the [`Ack`].
             request: u16,
@@ -225,6 +229,15 @@ pub struct RawAdc {
     pub board_time_ms: u32,
     /// Values of x, y, z, index and middle. Each is the sum of eight conversions of 10 bits, 0 to 8184.
     pub counts: [u16; 5],
+}
+
+/// The mean of the acceleration over the hop of a [`RightState`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
+pub struct RightTilt {
+    /// Sequence number of the state of the same hop, which precedes this message and contains the time and the health.
+    pub sequence: u16,
+    /// Mean along the x, y and z axes of the board. An axis that points up reads +9807 at rest.
+    pub acceleration_mm_s2: [i16; 3],
 }
 
 /// Counters since start.

@@ -81,6 +81,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
             battery_mv: 3700,
         }),
         BoardMessage::RawAdc(RawAdc { board_time_ms: 61_010, counts: [4096, 0, 4912, 5632, 8184] }),
+        BoardMessage::Tilt(RightTilt { sequence: 300, acceleration_mm_s2: [-3354, 0, 9215] }),
     ]
 }
 

@@ -8,6 +8,7 @@ use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::links::SerialSettings;
+use host_bridge::one_handed::SINCE_MINOR;
 use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
@@ -64,7 +65,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let examine = |(port, hand): &(String, Hand)| {
             let (port, hand) = (port.clone(), *hand);
             let settings = settings(&config, hand);
-            scope.spawn(move || examine(&port, hand, settings, args.seconds))
+            let one_handed = config.one_handed.on;
+            scope.spawn(move || examine(&port, hand, settings, args.seconds, one_handed))
         };
         let threads: Vec<_> = ports.iter().map(examine).collect();
         let lost = || Report { lines: Vec::new(), advice: vec!["the examination broke off".to_owned()] };
@@ -111,7 +113,7 @@ struct Heard {
     end_ms: u64,
 }
 
-fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Report {
+fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64, one_handed: bool) -> Report {
     let mut talk = Talk::open(port, settings);
     let who = match talk.hello(HELLO_MS) {
         Ok(who) => who,
@@ -125,6 +127,12 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
             0,
             format!("{} answers where the {hand} hand is expected: swap the ports", heard.who.board),
         );
+    }
+    if one_handed && hand == Hand::Right && heard.who.version.1 < SINCE_MINOR {
+        advice.push(format!(
+            "one-handed mode does not work: the firmware sends no tilt (wire 1.{}, needed 1.{SINCE_MINOR}): flash it anew",
+            heard.who.version.1
+        ));
     }
     Report { lines: lines(&heard), advice }
 }

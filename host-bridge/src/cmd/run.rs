@@ -71,6 +71,10 @@ pub struct HandArgs {
     /// Exchange the hands: --left is then the port of the gesture board, and --right that of the tilt board
     #[arg(long)]
     left_handed: bool,
+    /// Use no left hand: the right hand's own tilt drives the base while no gesture is drawn. The board needs firmware with
+    /// wire 1.6 or later
+    #[arg(long)]
+    one_handed: bool,
     /// Also drive a robot on a ROS 2 graph, as configured under ros2
     #[arg(long)]
     ros2: bool,
@@ -120,6 +124,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
+    config.one_handed.on |= args.one_handed;
     config.arm.jerk_limited |= args.jerk_limited;
     if args.unstamped {
         config.ros2.stamped = Stamped::Fixed(false);
@@ -164,6 +169,10 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
              boards try --left keyboard --right keyboard, or `host-bridge demo`"
         );
     }
+    ensure!(
+        !config.one_handed.on || !right.is_empty(),
+        "one-handed: give the port of the right hand's board with --right; `host-bridge list` shows the ports"
+    );
     ensure!(
         // Left and right hands advertise different services, so `ble` alone names one board of each kind.
         left == KEYBOARD || left == "ble" || left != right,
@@ -231,6 +240,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let about =
         graph.as_ref().map_or("simulated robot".to_owned(), |graph| graph.about.clone() + &third_stop);
     let mut title = format!("bimanual: left hand {}, right hand {}, {about}", name(&left), name(&right));
+    if config.one_handed.on {
+        title += "\none-handed: the right hand's tilt drives the base while no gesture is drawn";
+    }
     if let Some(restriction) = config.restriction() {
         title += &format!("\n{}", restriction.text);
     }

@@ -284,7 +284,7 @@ impl Heard {
                 self.raw.push((raw.first_sample, counts));
             }
             BoardMessage::About(about) => self.about = Some(about),
-            BoardMessage::ModelInfo(_) | BoardMessage::RawAdc(_) => {}
+            BoardMessage::ModelInfo(_) | BoardMessage::RawAdc(_) | BoardMessage::Tilt(_) => {}
         }
     }
 }

@@ -286,8 +286,14 @@ impl<'b, D: Door> Engine<'b, D> {
         let events = self.decide(now_ms);
         for event in &events {
             if let EventKind::HandStarted { hand, .. } = event.kind {
-                let tilt = hand == Hand::Left && self.tilt.is_some();
+                // In one-handed mode, the same request lets a right board send its tilt.
+                let is_tilting = if self.bridge.is_one_handed() { Hand::Right } else { Hand::Left };
+                let tilt = hand == is_tilting && (self.tilt.is_some() || hand == Hand::Right);
                 self.want(hand, if tilt { Wanted::Thresholds } else { Wanted::Classify });
+                if tilt && hand == Hand::Right && !self.sources[hand].is_link() {
+                    let (request, thresholds) = (self.request, self.tilt.unwrap_or_default());
+                    self.send(hand, &HostMessage::SetThresholds { request, thresholds }, now_ms);
+                }
             }
             if let EventKind::Gesture {
                 label,
@@ -352,9 +358,11 @@ impl<'b, D: Door> Engine<'b, D> {
         }
         set_up.sent_ms = Some(now_ms);
         let request = set_up.request;
-        let message = match (set_up.what, self.tilt) {
-            (Wanted::Thresholds, Some(thresholds)) => HostMessage::SetThresholds { request, thresholds },
-            _ => HostMessage::SetMode { request, mode: Mode::Classify },
+        let message = match set_up.what {
+            Wanted::Thresholds => {
+                HostMessage::SetThresholds { request, thresholds: self.tilt.unwrap_or_default() }
+            }
+            Wanted::Classify => HostMessage::SetMode { request, mode: Mode::Classify },
         };
         self.send(hand, &message, now_ms);
     }

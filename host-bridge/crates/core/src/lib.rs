@@ -14,6 +14,7 @@ pub mod jog;
 pub mod latency;
 pub mod link;
 pub mod observe;
+pub mod one_handed;
 pub mod safety;
 pub mod session;
 pub mod source;

@@ -19,10 +19,11 @@ use shared_proto::clock::{BoardClock, DRIFT_PPM};
 use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
-    About, Ack, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState,
+    About, Ack, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState, RightTilt,
 };
 use shared_proto::version;
 
+use crate::one_handed::TiltReport;
 use crate::safety::Hand;
 
 /// Interval for requesting a hello as long as no usable data arrives.
@@ -88,6 +89,8 @@ pub enum Heard {
     },
     /// A right state that is newer than all earlier ones.
     Right(RightReport),
+    /// The tilt of a right hand, which belongs to the newest state.
+    Tilt(TiltReport),
     /// A problem that the user should know about.
     Fault(Fault),
     /// Answer to a request.
@@ -162,6 +165,8 @@ pub struct HandLink {
     about: Option<About>,
     counters: LinkCounters,
     overtaken_in_a_row: u32,
+    /// Sequence number and board time of the newest right state, until its tilt arrives.
+    waits_for_tilt: Option<(u16, u32)>,
     last_state_ms: Option<u64>,
     last_request_ms: Option<u64>,
     /// Ids and times of the unanswered pings, oldest first.
@@ -191,6 +196,7 @@ impl HandLink {
             about: None,
             counters: LinkCounters::default(),
             overtaken_in_a_row: 0,
+            waits_for_tilt: None,
             last_state_ms: None,
             last_request_ms: None,
             pings: VecDeque::new(),
@@ -319,6 +325,7 @@ impl HandLink {
             }
             BoardMessage::Left(state) => self.left(state, now_ms),
             BoardMessage::Right(state) => self.right(&state, now_ms),
+            BoardMessage::Tilt(tilt) => self.tilt(tilt, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
             BoardMessage::Fault(fault) => Some(Heard::Fault(fault)),
             BoardMessage::Pong(pong) => {
@@ -368,7 +375,7 @@ impl HandLink {
         self.index.rebase();
         self.middle.rebase();
         self.gestures.rebase();
-        self.overtaken_in_a_row = 0;
+        (self.overtaken_in_a_row, self.waits_for_tilt) = (0, None);
         (self.model, self.about) = (None, None);
         self.minor = hello.minor;
         self.identity = Some(identity.clone());
@@ -428,6 +435,7 @@ impl HandLink {
         if !self.is_next(Hand::Right, state.sequence) {
             return None;
         }
+        self.waits_for_tilt = Some((state.sequence, state.board_time_ms));
         let age_ms = self.age_of_state(state.board_time_ms, now_ms);
         let new = self.gestures.see(state.events);
         let gesture = (new > 0).then(|| NewGesture {
@@ -448,6 +456,13 @@ impl HandLink {
             scores: state.scores.iter().map(|&s| f32::from((s as i8) as i16 + 128) / 256.0).collect(),
             gesture,
         }))
+    }
+
+    /// A tilt counts only together with the state of the same hop, and only once.
+    fn tilt(&mut self, tilt: RightTilt, now_ms: u64) -> Option<Heard> {
+        let (_, board_time_ms) = self.waits_for_tilt.take_if(|(sequence, _)| *sequence == tilt.sequence)?;
+        let age_ms = self.age_of_state(board_time_ms, now_ms);
+        Some(Heard::Tilt(TiltReport { age_ms, board_time_ms, tilt }))
     }
 
     fn age_of_state(&mut self, board_time_ms: u32, now_ms: u64) -> u64 {

@@ -7,7 +7,8 @@ use std::time::Duration;
 use shared_dsp::left::AdcCounts;
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{
-    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, RawAdc, Status,
+    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, RawAdc, RightTilt,
+    Status,
 };
 use shared_proto::version;
 
@@ -53,6 +54,8 @@ pub enum Said {
     Raw(RawBatch),
     /// A raw sample of a left hand.
     RawLeft(RawAdc),
+    /// The mean acceleration of a right hand's hop.
+    Tilt(RightTilt),
     /// Counters.
     Status(Status),
     /// Trouble.
@@ -450,6 +453,7 @@ pub(crate) fn owned(message: &BoardMessage<'_>) -> Option<Said> {
         BoardMessage::RawAdc(raw) => {
             return raw.counts.iter().all(|sum| *sum <= AdcCounts::MAX).then_some(Said::RawLeft(*raw));
         }
+        BoardMessage::Tilt(tilt) => Said::Tilt(*tilt),
         BoardMessage::Status(status) => Said::Status(*status),
         BoardMessage::Fault(fault) => Said::Fault(*fault),
         BoardMessage::Pong(pong) => Said::Pong(*pong),

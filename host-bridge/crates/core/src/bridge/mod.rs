@@ -2,8 +2,10 @@
 
 mod accepted;
 mod clutch;
+mod driving;
 mod events;
 mod judged;
+mod one_handed;
 mod restriction;
 mod wearer;
 
@@ -16,7 +18,7 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
 use host_robot::{Busy, DVec3, Door, MotionName, NotStarted, Part, Report, Twist};
-use judged::{command, rests, without_figures};
+use judged::{rests, without_figures};
 use wearer::{NEARLY_SHOWN_MS, Seen};
 
 use crate::almost::Almost;
@@ -25,8 +27,9 @@ use crate::engine::FOREIGN_REQUESTS;
 use crate::intent::{Caps, MotionMap, SpeedRules};
 use crate::jog::{JogRules, Lift};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
+use crate::one_handed::TiltHand;
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
-use crate::tilt::{Tilt, TiltDrive};
+use crate::tilt::TiltDrive;
 
 /// Interval at which the base's speed is repeated, so that the robot detects the end of the bridge.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
@@ -45,6 +48,10 @@ pub struct Bridge {
     wearer: Seen,
     left_state: LeftState,
     right_health: u8,
+    /// The right hand as a left hand, in one-handed mode.
+    tilt_hand: Option<TiltHand>,
+    /// Whether the newest right state draws, or reports a gesture.
+    draws: bool,
     was_armed: bool,
     driven: (Twist, u64),
     events: Vec<BridgeEvent>,
@@ -83,6 +90,8 @@ impl Bridge {
             wearer: Seen::default(),
             left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
             right_health: 0,
+            tilt_hand: None,
+            draws: false,
             was_armed: false,
             driven: (Twist::ZERO, 0),
             events: Vec::new(),
@@ -286,13 +295,6 @@ impl Bridge {
         self.events.push(BridgeEvent { time_ms, kind });
     }
 
-    fn drive(&mut self, now_ms: u64, robot: &mut dyn Door) {
-        let twist = self.twist();
-        self.driven = (twist, now_ms);
-        robot.cap(self.caps.linear_m_s);
-        robot.drive(twist);
-    }
-
     fn handle(&mut self, hand: Hand, heard: Heard, now_ms: u64, robot: &mut dyn Door) {
         match heard {
             Heard::Started(identity) => {
@@ -302,12 +304,17 @@ impl Bridge {
                     self.almost = Almost::default();
                 }
                 self.apply(safety::Event::Started(hand), now_ms, robot);
+                self.one_hand_started(hand, now_ms, robot);
             }
             Heard::Unusable(problem) => {
                 self.note(now_ms, EventKind::HandUnusable { hand, problem });
                 self.apply(safety::Event::Unusable(hand), now_ms, robot);
+                if self.is_one_handed() {
+                    self.apply(safety::Event::Unusable(Hand::Left), now_ms, robot);
+                }
             }
             Heard::Model(model) => {
+                self.check_rest(&model.labels, now_ms, robot);
                 let without = self.map.without_motion(&model.labels);
                 let without = without.into_iter().filter(|label| !self.is_clutch(label));
                 let without_motion = without.map(str::to_owned).collect();
@@ -315,39 +322,19 @@ impl Bridge {
             }
             Heard::Left { age_ms, state, index_bends, middle_bends } => {
                 self.tell_health(hand, state.health, now_ms);
-                let before = command(self.safety.heading());
-                let event = safety::Event::Left {
-                    age_ms,
-                    prompt: self.links.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
-                    healthy: health::is_fit(state.health),
-                    heading: state.heading,
-                    tilt: Tilt { pitch_mrad: state.pitch_mrad, roll_mrad: state.roll_mrad },
-                    index_bends,
-                    middle_bends,
-                    stop: state.stop,
-                };
-                self.left_state = state;
-                self.apply(event, now_ms, robot);
-                let heading = self.safety.heading();
-                // A halt is reported as a separate event.
-                if self.safety.state() == State::Armed && command(heading) != before {
-                    let event = EventKind::Heading {
-                        heading,
-                        twist: self.twist(),
-                        sample_board_ms: state.board_time_ms,
-                        age_ms,
-                    };
-                    self.note(now_ms, event);
-                    self.acceptances.ask(Part::Base, age_ms, now_ms);
-                }
+                self.left(age_ms, state, [index_bends, middle_bends], now_ms, robot);
             }
+            Heard::Tilt(report) => self.tilted(&report, now_ms, robot),
             Heard::Right(report) => self.right(report, now_ms, robot),
             Heard::Fault(fault) => {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
             // Answers to other programs' requests must not hide the answers to the session's own requests.
-            Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
+            Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => {
+                self.last_acks[hand] = Some(ack);
+                self.check_answer(hand, ack.result, now_ms, robot);
+            }
             Heard::Ack(_) => {}
         }
     }
@@ -386,6 +373,7 @@ impl Bridge {
         }
         self.scores = report.scores;
         self.right_health = report.health;
+        self.draws = !resting || report.gesture.is_some();
         let event = safety::Event::Right {
             age_ms: report.age_ms,
             prompt: self.links.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
@@ -435,6 +423,7 @@ impl Bridge {
                     self.acceptances.forget();
                     self.driven = (Twist::ZERO, now_ms);
                     (self.jogged_m_s, self.lift) = (DVec3::ZERO, Lift::default());
+                    let reason = self.worn(reason);
                     self.note(now_ms, EventKind::Halt { reason });
                 }
                 Action::ResetCaps => {

@@ -17,6 +17,7 @@
 //! The machine passes on bends, gestures and the heading only while armed. Earlier inputs are discarded.
 
 mod events;
+mod release;
 mod watch;
 
 pub use events::{Action, Event, Gesture, HaltReason, Ignored};
@@ -123,8 +124,10 @@ pub struct Safety {
     heading: Heading,
     /// Tilts of the newest valid states.
     tilts: Tilts,
-    /// Whether the right hand has rested long enough since the stop (only without a left hand).
+    /// Whether the right hand has rested long enough since the stop (only without a left board).
     right_rested: bool,
+    /// Whether both states come from the right hand, which cannot be level while it draws.
+    one_handed: bool,
     /// Whether the robot itself refuses to move.
     refused: bool,
     /// The left hand is lent to the arm.
@@ -154,6 +157,7 @@ impl Safety {
             heading: Heading::Neutral,
             tilts: Tilts::default(),
             right_rested: false,
+            one_handed: false,
             refused: false,
             lent: false,
         }
@@ -375,31 +379,6 @@ impl Safety {
             self.release(actions);
         } else {
             actions.push(Action::Ignored(Ignored::GestureWhileNotArmed));
-        }
-    }
-
-    /// Returns whether all connected hands are live.
-    /// In addition, the left hand must have been neutral for a second at `time_ms`.
-    /// Without a left hand, the right hand must have rested instead.
-    fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
-        let all_live = (self.left.connected || self.right.connected)
-            && !self.refused
-            && !self.awaits_a_hand()
-            && self.connected_hands_live();
-        let neutral = if self.left.connected {
-            self.left.neutral.is_some_and(|neutral| neutral.held(self.times.release_neutral_ms, time_ms))
-        } else {
-            self.right_rested
-        };
-        all_live && neutral
-    }
-
-    fn note_rest_during_stop(&mut self) {
-        if self.state == State::Stopped
-            && let Some(neutral) = self.right.neutral
-            && neutral.held(self.times.release_neutral_ms, self.now_ms)
-        {
-            self.right_rested = true;
         }
     }
 

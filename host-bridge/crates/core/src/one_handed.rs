@@ -1,0 +1,328 @@
+//! One-handed mode: the tilt of the right hand's board drives the base while no gesture is drawn.
+//!
+//! The board sends the mean acceleration of each hop (80 ms).
+//! From these means, the laptop computes the tilt and the heading, with the code and the rules of a left hand's board.
+//! For the safety machine, the result is a left hand like any other.
+//! Silence, late states, neutral, stops and the clutch therefore work as with two hands.
+//!
+//! **Axes.** The heading does not depend on the kind of board, but on how the wearer mounts it.
+//! By default, the board lies flat with its components up, +x points to the fingers, and +y points to the left.
+//! The simulated wearers of `models` use the same axes.
+//! An axis that points up reads +1 g.
+
+use serde::{Deserialize, Serialize};
+use shared_dsp::left::tilt::{Acceleration, Tilt as Angles, TiltDetector};
+use shared_dsp::right::features::HOP;
+use shared_proto::message::{Heading, RightTilt, TiltThresholds};
+
+use crate::tilt::Tilt;
+
+/// Minor version of the wire with which boards began to send their tilt.
+pub const SINCE_MINOR: u8 = 6;
+
+/// Mean accelerations outside this range (0.75 g to 1.3 g) say nothing about the tilt. Unit: mm/s².
+const GRAVITY_MM_S2: std::ops::RangeInclusive<f64> = 7355.0..=12_749.0;
+
+/// The mean acceleration of a hop, with the time of the state of the same hop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TiltReport {
+    /// Upper bound of the newest sample's age.
+    pub age_ms: u64,
+    /// Time of the newest sample on the board's clock.
+    pub board_time_ms: u32,
+    /// As received.
+    pub tilt: RightTilt,
+}
+
+/// A command must last for this many further hops (400 ms) before the base follows it.
+/// The first stroke of a gesture looks like a tilt, and the scores follow the hand only after a while.
+const CONFIRMING_HOPS: u8 = 5;
+
+/// A direction of the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Axis {
+    /// Along x.
+    #[serde(rename = "+x")]
+    PlusX,
+    /// Against x.
+    #[serde(rename = "-x")]
+    MinusX,
+    /// Along y.
+    #[serde(rename = "+y")]
+    PlusY,
+    /// Against y.
+    #[serde(rename = "-y")]
+    MinusY,
+    /// Along z.
+    #[serde(rename = "+z")]
+    PlusZ,
+    /// Against z.
+    #[serde(rename = "-z")]
+    MinusZ,
+}
+
+impl Axis {
+    /// Returns the number of the axis (x = 0), and whether the direction is against it.
+    fn parts(self) -> (usize, bool) {
+        match self {
+            Axis::PlusX => (0, false),
+            Axis::MinusX => (0, true),
+            Axis::PlusY => (1, false),
+            Axis::MinusY => (1, true),
+            Axis::PlusZ => (2, false),
+            Axis::MinusZ => (2, true),
+        }
+    }
+
+    fn of(self, values: [i16; 3]) -> i16 {
+        let (axis, is_against) = self.parts();
+        if is_against { values[axis].saturating_neg() } else { values[axis] }
+    }
+}
+
+/// The choice of the mode, and how the board is mounted on the hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OneHanded {
+    /// Whether the right hand drives the base. A left hand is then not used.
+    pub on: bool,
+    /// The board's axis that points to the fingers.
+    pub forward: Axis,
+    /// The board's axis that points to the left of the hand.
+    pub left: Axis,
+    /// The board's axis that points out of the back of the hand.
+    pub up: Axis,
+    /// The forward tilt of the wearer's neutral pose, which counts as level.
+    pub neutral_pitch_mrad: i16,
+    /// The tilt to the left of the wearer's neutral pose, which counts as level.
+    pub neutral_roll_mrad: i16,
+}
+
+impl OneHanded {
+    /// The mode is off. The axes are those of the simulated wearers.
+    pub const OFF: Self = OneHanded {
+        on: false,
+        forward: Axis::PlusX,
+        left: Axis::PlusY,
+        up: Axis::PlusZ,
+        neutral_pitch_mrad: 0,
+        neutral_roll_mrad: 0,
+    };
+
+    /// Returns whether the three axes differ, and the neutral pose is at most 30° off level.
+    pub fn is_sound(&self) -> bool {
+        let mut axes = [self.forward, self.left, self.up].map(|axis| axis.parts().0);
+        axes.sort_unstable();
+        let near = |mrad: i16| mrad.unsigned_abs() <= 524;
+        axes == [0, 1, 2] && near(self.neutral_pitch_mrad) && near(self.neutral_roll_mrad)
+    }
+}
+
+impl Default for OneHanded {
+    fn default() -> Self {
+        OneHanded::OFF
+    }
+}
+
+/// The right hand as a left hand.
+#[derive(Clone, Debug)]
+pub(crate) struct TiltHand {
+    rules: OneHanded,
+    detector: TiltDetector,
+    /// Number and tilt of the newest hop.
+    newest: Option<(u16, Angles)>,
+    /// The detector's newest heading, and for how many hops it has not changed.
+    found: (Heading, u8),
+    /// Whether this board cannot drive. Nothing moves until another one starts.
+    pub is_refused: bool,
+}
+
+impl TiltHand {
+    pub fn new(rules: OneHanded, thresholds: TiltThresholds) -> Self {
+        TiltHand {
+            rules,
+            detector: TiltDetector::new(thresholds),
+            newest: None,
+            found: (Heading::Between, 0),
+            is_refused: false,
+        }
+    }
+
+    /// The board has started. The hand must be neutral before it drives.
+    pub fn restart(&mut self) {
+        *self = TiltHand::new(self.rules, self.detector.thresholds());
+    }
+
+    /// Adds a hop. While the hand draws, it gives no command, and must be neutral before it drives again.
+    pub fn step(&mut self, hop: u16, acceleration_mm_s2: [i16; 3], draws: bool) -> (Heading, Tilt) {
+        let OneHanded { forward, left, up, neutral_pitch_mrad, neutral_roll_mrad, .. } = self.rules;
+        // The code of the left hand has x to the wrist and y to the right.
+        let a = Acceleration {
+            x: forward.of(acceleration_mm_s2).saturating_neg(),
+            y: left.of(acceleration_mm_s2).saturating_neg(),
+            z: up.of(acceleration_mm_s2),
+        };
+        let level = Angles::of(a);
+        let angles = Angles {
+            pitch_mrad: level.pitch_mrad - neutral_pitch_mrad,
+            roll_mrad: level.roll_mrad - neutral_roll_mrad,
+        };
+        let before = self.newest.replace((hop, angles));
+        let size = acceleration_mm_s2.iter().map(|&a| f64::from(a).powi(2)).sum::<f64>().sqrt();
+        let heading = if draws {
+            self.detector.disarm();
+            Heading::Between
+        } else if a.z <= 0 || !GRAVITY_MM_S2.contains(&size) {
+            // A single jolt keeps the heading, and a second one ends it, as with a hand that is turned over.
+            self.detector.turned_over()
+        } else {
+            self.hop(before, hop, angles)
+        };
+        let (last, hops) = self.found;
+        self.found = (heading, if heading == last { hops.saturating_add(1) } else { 0 });
+        let waits = heading.is_command() && self.found.1 < CONFIRMING_HOPS;
+        let heading = if waits { Heading::Between } else { heading };
+        (heading, Tilt { pitch_mrad: angles.pitch_mrad, roll_mrad: angles.roll_mrad })
+    }
+
+    /// The detector's times are counted in samples, so the tilts between two hops are interpolated.
+    fn hop(&mut self, before: Option<(u16, Angles)>, hop: u16, angles: Angles) -> Heading {
+        let (last, from) = before.unwrap_or((hop, angles));
+        if hop.wrapping_sub(last) != 1 {
+            // Whatever happened meanwhile, no command starts because of it.
+            self.detector.hold();
+        }
+        let between = |from: i16, to: i16, part: usize| {
+            let way = i32::from(to) - i32::from(from);
+            (i32::from(from) + way * part as i32 / HOP as i32) as i16
+        };
+        (1..=HOP).fold(Heading::Between, |_, part| {
+            self.detector.step(Angles {
+                pitch_mrad: between(from.pitch_mrad, angles.pitch_mrad, part),
+                roll_mrad: between(from.roll_mrad, angles.roll_mrad, part),
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_proto::message::BoardMessage;
+
+    /// The acceleration of a board with the default axes: forward lowers +x, left lowers +y.
+    fn tilted(pitch_deg: f64, roll_deg: f64) -> [i16; 3] {
+        let (pitch, roll) = (pitch_deg.to_radians(), roll_deg.to_radians());
+        let a = [-pitch.sin(), -pitch.cos() * roll.sin(), pitch.cos() * roll.cos()];
+        a.map(|a| (9807.0 * a).round() as i16)
+    }
+
+    struct Rig(TiltHand, u16);
+
+    impl Rig {
+        fn new(rules: OneHanded) -> Self {
+            Rig(TiltHand::new(rules, TiltThresholds::DEFAULT), 0)
+        }
+
+        fn run(&mut self, acceleration: [i16; 3], hops: usize) -> Heading {
+            (0..hops).fold(Heading::Between, |_, _| {
+                self.1 = self.1.wrapping_add(1);
+                self.0.step(self.1, acceleration, false).0
+            })
+        }
+    }
+
+    #[test]
+    fn each_way_of_tilting_gives_its_heading_and_only_after_neutral() {
+        for (pitch, roll, heading) in [
+            (25.0, 0.0, Heading::Forward),
+            (-25.0, 0.0, Heading::Backward),
+            (0.0, 25.0, Heading::Left),
+            (0.0, -25.0, Heading::Right),
+        ] {
+            let mut rig = Rig::new(OneHanded::OFF);
+            assert_eq!(rig.run(tilted(pitch, roll), 20), Heading::Between, "before neutral");
+            assert_eq!(rig.run(tilted(0.0, 0.0), 2), Heading::Neutral);
+            assert_eq!(rig.run(tilted(pitch, roll), 10), heading);
+            assert_eq!(rig.run(tilted(0.0, 0.0), 1), Heading::Neutral);
+        }
+    }
+
+    #[test]
+    fn a_board_that_is_mounted_otherwise_gives_the_same_headings() {
+        // The board is turned by 90°: its y axis points to the fingers, and x to the right.
+        let rules = OneHanded { forward: Axis::PlusY, left: Axis::MinusX, ..OneHanded::OFF };
+        let mut rig = Rig::new(rules);
+        let turned = |[forward, left, up]: [i16; 3]| [-left, forward, up];
+        rig.run(turned(tilted(0.0, 0.0)), 2);
+        assert_eq!(rig.run(turned(tilted(25.0, 0.0)), 10), Heading::Forward);
+        rig.run(turned(tilted(0.0, 0.0)), 2);
+        assert_eq!(rig.run(turned(tilted(0.0, 25.0)), 10), Heading::Left);
+    }
+
+    #[test]
+    fn the_wearers_own_neutral_pose_counts_as_level() {
+        let rules = OneHanded { neutral_pitch_mrad: 262, neutral_roll_mrad: -175, ..OneHanded::OFF };
+        let mut rig = Rig::new(rules);
+        assert_eq!(rig.run(tilted(0.0, 0.0), 5), Heading::Between);
+        assert_eq!(rig.run(tilted(15.0, -10.0), 2), Heading::Neutral);
+        assert_eq!(rig.run(tilted(40.0, -10.0), 10), Heading::Forward);
+    }
+
+    #[test]
+    fn a_command_waits_until_it_has_lasted_so_that_the_stroke_of_a_gesture_is_none() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        // The board's own rules take at most two hops.
+        assert_eq!(rig.run(tilted(25.0, 0.0), 5), Heading::Between);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 3), Heading::Forward);
+        // The other way begins anew.
+        assert_eq!(rig.run(tilted(0.0, 25.0), 3), Heading::Between);
+    }
+
+    #[test]
+    fn a_drawing_hand_gives_no_command_and_needs_neutral_afterwards() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+        rig.1 += 1;
+        assert_eq!(rig.0.step(rig.1, tilted(25.0, 0.0), true).0, Heading::Between);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 50), Heading::Between);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+    }
+
+    #[test]
+    fn accelerations_that_are_no_gravity_end_a_command_and_start_none() {
+        for wrong in [[0, 0, 15_000], [0, 0, 4000], [-9000, 0, 13_000], [0, 0, -9807], [i16::MIN; 3], [0; 3]]
+        {
+            let mut rig = Rig::new(OneHanded::OFF);
+            rig.run(tilted(0.0, 0.0), 2);
+            assert!(!rig.run(wrong, 20).is_command(), "{wrong:?}");
+            rig.run(tilted(0.0, 0.0), 2);
+            assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+            assert_eq!(rig.run(wrong, 1), Heading::Forward, "a jolt");
+            assert_eq!(rig.run(wrong, 1), Heading::Between, "{wrong:?}");
+            assert_eq!(rig.run(tilted(25.0, 0.0), 20), Heading::Between);
+        }
+    }
+
+    #[test]
+    fn rules_that_make_no_sense_are_not_sound() {
+        assert!(OneHanded::OFF.is_sound());
+        for wrong in [
+            OneHanded { left: Axis::MinusX, ..OneHanded::OFF },
+            OneHanded { up: Axis::PlusY, ..OneHanded::OFF },
+            OneHanded { neutral_pitch_mrad: 525, ..OneHanded::OFF },
+            OneHanded { neutral_roll_mrad: i16::MIN, ..OneHanded::OFF },
+        ] {
+            assert!(!wrong.is_sound(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn the_wire_says_since_when_boards_send_their_tilt() {
+        let row = BoardMessage::ROWS.iter().find(|row| row.name == "Tilt").unwrap();
+        assert_eq!(row.since, SINCE_MINOR);
+    }
+}
