@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
 use crate::tilt::{Pointing, TiltDrive};
-use host_robot::{MotionName, Twist};
+use host_robot::{MotionName, PACE_LEAST, Twist};
 
 /// The caps on forward and turning speed, the pace of the arm, and their changes by bends.
 ///
@@ -71,8 +71,6 @@ impl Caps {
     pub const FASTER: f64 = 1.10;
     /// Factor for a bend of the middle finger.
     pub const SLOWER: f64 = 0.90;
-    /// The arm is never slower than this fraction of its planned speed.
-    pub const PACE_LEAST: f64 = 0.1;
 
     /// The caps at the start.
     pub fn new(rules: SpeedRules) -> Self {
@@ -95,7 +93,7 @@ impl Caps {
     /// The planned speed is the fastest, because a plan uses the limits of the configuration completely.
     pub fn bend_pace(&mut self, index: u8, middle: u8) {
         for factor in self.rules.factors(index, middle) {
-            self.pace = (self.pace * factor).clamp(Caps::PACE_LEAST, 1.0);
+            self.pace = (self.pace * factor).clamp(PACE_LEAST, 1.0);
         }
     }
 

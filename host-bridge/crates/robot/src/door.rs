@@ -182,6 +182,11 @@ pub struct Picture {
     pub timeouts: u32,
 }
 
+/// The bridge repeats the base's speed at this interval, so that the robot detects the end of the bridge.
+pub const DRIVE_INTERVAL_MS: u64 = 20;
+/// The slowest pace of the arm. At a slower one, nobody would see that the arm still moves.
+pub const PACE_LEAST: f64 = 0.1;
+
 /// See the module.
 pub trait Door {
     /// Advances the time to `now_ms`: the robot moves, the guard checks, and motions end.
@@ -200,7 +205,7 @@ pub trait Door {
     /// Returns [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
 
-    /// Sets the arm's speed as a fraction of the planned speed (at most 1), for the running motion and all later ones.
+    /// Sets the arm's speed as a fraction of the planned speed ([`PACE_LEAST`] to 1), for the running motion and all later ones.
     fn pace(&mut self, _share: f64) {}
 
     /// Checks whether a hand could move the tool now.

@@ -24,7 +24,9 @@ pub mod shape;
 pub mod trajectory;
 
 pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
-pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
+pub use door::{
+    ArmState, Busy, DRIVE_INTERVAL_MS, Door, Leg, MotionName, NotStarted, PACE_LEAST, Picture, Report,
+};
 pub use glam::{DMat3, DQuat, DVec2, DVec3, EulerRot};
 pub use gripper::{Grip, GripEnd};
 pub use limits::{JointLimits, Motion};

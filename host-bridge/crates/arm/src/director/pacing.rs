@@ -8,13 +8,10 @@
 use std::sync::Arc;
 
 use host_robot::trajectory::Paced;
-use host_robot::{Report, Robot};
+use host_robot::{PACE_LEAST, Report, Robot};
 
 use super::Director;
 use super::sequence::Act;
-
-/// Slower than this, nobody would see that the arm still moves.
-const LEAST: f64 = 0.1;
 
 /// The pace of the arm's motions.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +45,7 @@ impl Pace {
 impl<R: Robot> Director<R> {
     pub(super) fn want_pace(&mut self, share: f64) {
         // A pace that is not a number is the slowest one.
-        let share = if share.is_nan() { LEAST } else { share.clamp(LEAST, 1.0) };
+        let share = if share.is_nan() { PACE_LEAST } else { share.clamp(PACE_LEAST, 1.0) };
         if share == self.pace.wanted {
             return;
         }

@@ -13,12 +13,10 @@
 //! which is the braking distance of the base on a straight line.
 //! The arm's own motion is not included; its limits apply to it, and the guard considers both together.
 
-use host_robot::{Joints, Report, Robot, Trajectory, Twist};
+use host_robot::{DRIVE_INTERVAL_MS, Joints, Report, Robot, Trajectory, Twist};
 
 use super::Director;
 
-/// The bridge repeats its commands at this interval.
-const REPEATED_S: f64 = 0.02;
 /// Interval at which the arm's future motion is considered.
 const LOOK_S: f64 = 0.05;
 
@@ -99,8 +97,8 @@ impl<R: Robot> Director<R> {
         let rim_m_s = twist.linear_m_s.abs() + 0.5 * base.track_m * twist.angular_rad_s.abs();
         let braking_s = rim_m_s / (base.wheel_radius_m * base.wheel_acceleration_max_rad_s2);
         let base_age_ms = self.robot.base().map_or(0, |reading| reading.age_ms);
-        let late_s = (self.robot.reaction_ms() + base_age_ms) as f64 / 1000.0;
-        let end_s = (elapsed_s + REPEATED_S + late_s + braking_s).min(trajectory.duration_s());
+        let late_s = (DRIVE_INTERVAL_MS + self.robot.reaction_ms() + base_age_ms) as f64 / 1000.0;
+        let end_s = (elapsed_s + late_s + braking_s).min(trajectory.duration_s());
         let count = ((end_s - elapsed_s).max(0.0) / LOOK_S).ceil() as usize;
         poses.extend((0..count).map(|k| {
             let from_s = elapsed_s + LOOK_S * k as f64;

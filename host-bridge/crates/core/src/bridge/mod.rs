@@ -17,7 +17,7 @@ pub use wearer::{Nearly, Prompt};
 use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
-use host_robot::{Busy, DVec3, Door, MotionName, NotStarted, Part, Report, Twist};
+use host_robot::{Busy, DRIVE_INTERVAL_MS, DVec3, Door, MotionName, NotStarted, Part, Report, Twist};
 use judged::{rests, without_figures};
 use wearer::{NEARLY_SHOWN_MS, Seen};
 
@@ -30,9 +30,6 @@ use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::one_handed::TiltHand;
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
 use crate::tilt::TiltDrive;
-
-/// Interval at which the base's speed is repeated, so that the robot detects the end of the bridge.
-pub const DRIVE_INTERVAL_MS: u64 = 20;
 
 /// The bridge.
 #[derive(Clone, Debug)]
