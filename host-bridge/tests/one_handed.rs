@@ -3,29 +3,24 @@
 //!
 //! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 6 circle.
 
+#[path = "support/one_hand.rs"]
+mod one_hand;
 mod support;
+#[path = "support/wrist.rs"]
+mod wrist;
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
 
 use host_bridge::bridge::{EventKind, GestureOutcome};
 use host_bridge::config::Config;
 use host_bridge::demo::Demo;
-use host_bridge::engine::Engine;
-use host_bridge::hands::ModelFile;
-use host_bridge::hands::virtual_board::{PERIOD_MS, VirtualRight, no_store};
-use host_bridge::observe::SessionEvent;
 use host_bridge::safety::{HaltReason, Hand, State};
-use host_bridge::source::{HandSource, Source};
-use shared_board::Identity;
-use shared_board::hand::ValueHand;
-use shared_dsp::right::RightHand;
-use shared_dsp::right::decision::DecisionConfig;
-use shared_dsp::right::network::Model;
+use one_hand::Session;
 use shared_proto::message::{
     Ack, AckResult, Board, BoardMessage, Hello, PROTOCOL_MAJOR, RightTilt, Text, health,
 };
-use support::{LABELS, Rig, Robot, Virtual as _, bare, encode, model};
+use support::{LABELS, Rig, Virtual as _, encode, model};
+use wrist::Wrist;
 
 const HOP_MS: u64 = 80;
 /// Hops until the base follows a tilt, with a margin.
@@ -351,155 +346,28 @@ fn with_two_hands_the_tilt_of_the_right_one_has_no_effect() {
     assert!(!rig.take_moved());
 }
 
-/// What the simulated hand does now.
-#[derive(Clone, Copy, Default)]
-struct Pose {
-    pitch_deg: f64,
-    roll_deg: f64,
-    /// Number of the next sample of a gesture in the demo's recording, and the end of the gesture.
-    drawing: Option<(usize, usize)>,
-}
-
-/// A right hand with the bundled model: the samples of the demo's wearer, tilted as the test asks.
-struct Wrist {
-    wanted: Arc<Mutex<Pose>>,
-    now: [f64; 2],
-    board: VirtualRight<ValueHand<'static, 9>>,
-    samples: Vec<[f32; 9]>,
-    next: usize,
-}
-
 /// Samples in which the demo's wearer only rests.
 const RESTING: std::ops::Range<usize> = 4250..5100;
-/// The hand turns by 1.5° per sample.
-const TURN_DEG: f64 = 1.5;
 
-impl Wrist {
-    fn new(wanted: Arc<Mutex<Pose>>) -> Self {
-        let blob = ModelFile::bundled().unwrap().blob().to_vec();
-        let model = Model::parse(blob.leak()).unwrap();
-        let hand = RightHand::<9>::new(model, DecisionConfig::default()).expect("nine axes");
-        let identity = Identity { board: Board::RightReplay, firmware: "test", boot_id: 1, sample_hz: 100 };
-        let scale = [0.000_732 * 9.806_65, 0.07, 0.014];
-        let recording = Demo::bundled().right.resampled();
-        let samples = recording.samples().map(|sample| sample.try_into().unwrap()).collect();
-        Wrist {
-            wanted,
-            now: [0.0; 2],
-            board: VirtualRight::start(identity, ValueHand::new(hand, scale)),
-            samples,
-            next: 0,
-        }
-    }
-
-    fn sample(&mut self) -> [f32; 9] {
-        let mut wanted = self.wanted.lock().unwrap();
-        let mut number = RESTING.start + self.next % RESTING.len();
-        if let Some((at, end)) = wanted.drawing {
-            number = at;
-            wanted.drawing = (at + 1 < end).then_some((at + 1, end));
-        }
-        let mut values = self.samples[number].map(f64::from);
-        let target = [wanted.pitch_deg, wanted.roll_deg];
-        let mut turned = [0.0; 2];
-        for axis in 0..2 {
-            turned[axis] = (target[axis] - self.now[axis]).clamp(-TURN_DEG, TURN_DEG);
-            self.now[axis] += turned[axis];
-        }
-        let [(pitch_sin, pitch_cos), (roll_sin, roll_cos)] = self.now.map(|deg| deg.to_radians().sin_cos());
-        for sensor in values.chunks_exact_mut(3) {
-            let [x, y, z] = [sensor[0], sensor[1], sensor[2]];
-            let (x, z) = (x * pitch_cos - z * pitch_sin, x * pitch_sin + z * pitch_cos);
-            let (y, z) = (y * roll_cos - z * roll_sin, y * roll_sin + z * roll_cos);
-            sensor.copy_from_slice(&[x, y, z]);
-        }
-        // Degrees per sample of 10 ms to degrees per second, about the axes forward and left.
-        values[3] -= 100.0 * turned[1];
-        values[4] += 100.0 * turned[0];
-        values.map(|value| value as f32)
-    }
-}
-
-impl HandSource for Wrist {
-    fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
-        while self.next as u64 * PERIOD_MS <= now_ms {
-            let sample = self.sample();
-            self.board.sample(&sample, self.next as u64 * PERIOD_MS, wire);
-            self.next += 1;
-        }
-    }
-
-    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        self.board.receive(bytes, now_ms, wire, no_store);
-    }
-}
-
-struct Session {
-    engine: Engine<'static, Robot>,
-    wanted: Arc<Mutex<Pose>>,
-    now_ms: u64,
-    events: Vec<EventKind>,
-}
-
-impl Session {
-    fn new() -> Self {
-        let (config, wanted) = (config(""), Arc::new(Mutex::new(Pose::default())));
-        let sources = [Source::Nobody, Source::here(Wrist::new(Arc::clone(&wanted)))];
-        let engine = Engine::new(config.bridge(config.motion_map()), bare(), sources, 0);
-        Session { engine, wanted, now_ms: 0, events: Vec::new() }
-    }
-
-    fn run(&mut self, ms: u64) {
-        for _ in 0..ms {
-            self.now_ms += 1;
-            let events = self.engine.advance(self.now_ms, [false; 2]);
-            self.events.extend(events.into_iter().filter_map(|event| match event {
-                SessionEvent::Bridge(event) => Some(event.kind),
-                _ => None,
-            }));
-        }
-    }
-
-    fn tilt(&self, pitch_deg: f64, roll_deg: f64) {
-        let mut wanted = self.wanted.lock().unwrap();
-        (wanted.pitch_deg, wanted.roll_deg) = (pitch_deg, roll_deg);
-    }
-
-    /// Runs until the condition holds, for at most 20 s.
-    fn until(&mut self, holds: impl Fn(&Robot) -> bool) {
-        let end_ms = self.now_ms + 20_000;
-        while !holds(self.engine.door()) {
-            assert!(self.now_ms < end_ms, "not within 20 s: {:?}", self.events.last());
-            self.run(10);
-        }
-    }
-
-    fn level(&mut self) {
-        self.tilt(0.0, 0.0);
-        self.run(1500);
-    }
-
-    fn outcomes(&self) -> Vec<GestureOutcome> {
-        let outcome = |event: &EventKind| match event {
-            EventKind::Gesture { outcome, .. } => Some(outcome.clone()),
-            _ => None,
-        };
-        self.events.iter().filter_map(outcome).collect()
-    }
+/// The wrist of the demo's wearer.
+fn demo_wrist() -> Wrist {
+    let recording = Demo::bundled().right.resampled();
+    let rows = recording.samples().map(|sample| std::array::from_fn(|axis| sample[axis].into())).collect();
+    Wrist::new(rows, RESTING)
 }
 
 #[test]
 fn one_hand_drives_a_square_with_the_bundled_model_and_its_gestures_move_the_arm_alone() {
-    let mut session = Session::new();
+    let mut session = Session::new(&config(""), demo_wrist());
     session.run(4000);
     assert_eq!(session.engine.bridge().safety().state(), State::Armed);
     for side in 0..4 {
-        let path_m = session.engine.door().odometry().path_m;
-        session.tilt(25.0, 0.0);
+        let path_m = session.path_m();
+        session.wrist().tilt(25.0, 0.0);
         session.until(|robot| robot.odometry().path_m > path_m + 0.9);
         session.level();
         let target_rad = f64::from(side + 1) * std::f64::consts::FRAC_PI_2 - 0.14;
-        session.tilt(0.0, 25.0);
+        session.wrist().tilt(0.0, 25.0);
         session.until(|robot| robot.odometry().heading_rad > target_rad);
         session.level();
     }
@@ -524,15 +392,77 @@ fn one_hand_drives_a_square_with_the_bundled_model_and_its_gestures_move_the_arm
     ];
     for (onset_s, motion) in gestures {
         session.events.clear();
-        let path_m = session.engine.door().odometry().path_m;
+        let path_m = session.path_m();
         let onset = (100.0 * onset_s) as usize;
-        session.wanted.lock().unwrap().drawing = Some((onset - 30, onset + 400));
+        session.wrist().drawing = Some(onset - 30..onset + 400);
         session.run(5000);
-        let moved_m = session.engine.door().odometry().path_m - path_m;
+        let moved_m = session.path_m() - path_m;
         println!("{motion}: the base moves {:.1} cm while the gesture is drawn", 100.0 * moved_m);
         assert_eq!(session.outcomes(), [GestureOutcome::Started(motion.into())]);
         assert!(moved_m < 0.05, "{motion}: {moved_m} m");
         session.until(|robot| robot.arm().at_rest());
         session.run(1000);
     }
+}
+
+#[test]
+fn zz_exp() {
+    use models::synth::{IdleKind, Motion, Segment, Wearer, session as play};
+    use host_bridge::worn::Level;
+    let rows_of = |w: &Wearer, take, script: &[Segment]| -> wrist::Rows {
+        play(w, take, script).samples().map(|s| std::array::from_fn(|i| f64::from(s[i]))).collect()
+    };
+    let mk = |r: &wrist::Rows| {
+        let level = wrist::mean_mm_s2(&r[..200]);
+        let tl = |p, q| { let rr: wrist::Rows = r[..200].iter().map(|v| wrist::tilted(*v, [p, q])).collect(); wrist::mean_mm_s2(&rr) };
+        let l = Level::of(level).unwrap();
+        let mut c = config("");
+        c.one_handed = l.forward(c.one_handed, tl(30.0, 0.0)).unwrap();
+        l.check_left(&c.one_handed, tl(0.0, 30.0)).unwrap();
+        c
+    };
+    // idle kinds
+    if std::env::var("IDLE").is_ok() {
+    for kind in [IdleKind::Still, IdleKind::Fidget, IdleKind::Walk, IdleKind::Lift] {
+        let (mut drove, mut total, mut stops) = (0, 0, 0);
+        for w in 1..=8u32 {
+            let wearer = Wearer::evaluation(31, w);
+            let r = rows_of(&wearer, 60, &[Segment::new(Motion::IDLE, 6.5), Segment::new(Motion::Idle(kind), 20.0), Segment::new(Motion::Circle, 1.0)]);
+            let c = mk(&r);
+            let n = r.len();
+            let mut s = Session::new(&c, Wrist::new(r, 0..n));
+            s.run(4500);
+            s.wrist().tilt(25.0, 0.0);
+            s.run(2500);
+            let mut was = s.asked_m_s() != 0.0;
+            for _ in 0..1900 { s.run(10); let d = s.asked_m_s() != 0.0; total += 1; drove += u32::from(d); stops += u32::from(was && !d); was = d; }
+        }
+        println!("{kind:?}: drove {:.1} % of the time, {stops} stops in {} s", 100.0 * f64::from(drove) / f64::from(total), total / 100);
+    }
+    }
+    let mut all = vec![];
+    for w in 1..=12u32 {
+        let wearer = Wearer::evaluation(31, w);
+        for (g, gesture) in Motion::GESTURES.into_iter().enumerate() {
+            let phase = (w as usize * 7 + g * 3) % 8;
+            let start = 700 + phase;
+            let r = rows_of(&wearer, g as u64, &[Segment::new(Motion::IDLE, start as f64 / 100.0), Segment::new(gesture, 2.5), Segment::new(Motion::IDLE, 1.5)]);
+            let c = mk(&r);
+            let n = r.len();
+            let mut s = Session::new(&c, Wrist::new(r, 0..n));
+            s.run(4500);
+            s.wrist().tilt(25.0, 0.0);
+            s.run(start as u64 * 10 - 4500);
+            let speed = s.asked_m_s();
+            let path = s.path_m();
+            let mut rest = 0;
+            let mut braked = 0;
+            for ms in 1..3000 { s.run(1); if braked == 0 && s.asked_m_s() == 0.0 { braked = ms; } if rest == 0 && s.engine.door().at_rest() { rest = ms; } }
+            let roll = s.path_m() - path;
+            all.push(roll);
+            println!("{} {gesture:?}: asked {speed}, brakes after {braked} ms, rests after {rest} ms, rolled {roll:.3} m {:?}", wearer.name, s.outcomes());
+        }
+    }
+    all.sort_by(f64::total_cmp);
+    println!("median {:.3} worst {:.3} of {}", all[all.len()/2], all[all.len()-1], all.len());
 }

@@ -21,7 +21,7 @@ use crate::tilt::Tilt;
 pub const SINCE_MINOR: u8 = 6;
 
 /// Mean accelerations outside this range (0.75 g to 1.3 g) say nothing about the tilt. Unit: mm/s².
-const GRAVITY_MM_S2: std::ops::RangeInclusive<f64> = 7355.0..=12_749.0;
+pub(crate) const GRAVITY_MM_S2: std::ops::RangeInclusive<f64> = 7355.0..=12_749.0;
 
 /// The mean acceleration of a hop, with the time of the state of the same hop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +37,13 @@ pub struct TiltReport {
 /// A command must last for this many further hops (400 ms) before the base follows it.
 /// The first stroke of a gesture looks like a tilt, and the scores follow the hand only after a while.
 const CONFIRMING_HOPS: u8 = 5;
+
+/// Maximum tilt of the wearer's neutral pose: 30°.
+pub(crate) const NEUTRAL_MAX_MRAD: u16 = 524;
+
+/// The mean acceleration of a driving hand changes by at most this much from one hop to the next, about 0.1 g.
+/// A hand that turns at 70°/s changes it by as much.
+const MOVING_MM_S2: f64 = 1000.0;
 
 /// A direction of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +70,7 @@ pub enum Axis {
 
 impl Axis {
     /// Returns the number of the axis (x = 0), and whether the direction is against it.
-    fn parts(self) -> (usize, bool) {
+    pub(crate) fn parts(self) -> (usize, bool) {
         match self {
             Axis::PlusX => (0, false),
             Axis::MinusX => (0, true),
@@ -72,6 +79,33 @@ impl Axis {
             Axis::PlusZ => (2, false),
             Axis::MinusZ => (2, true),
         }
+    }
+
+    /// Returns the name as in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Axis::PlusX => "+x",
+            Axis::MinusX => "-x",
+            Axis::PlusY => "+y",
+            Axis::MinusY => "-y",
+            Axis::PlusZ => "+z",
+            Axis::MinusZ => "-z",
+        }
+    }
+
+    /// Returns the unit vector of this direction.
+    pub(crate) fn direction(self) -> [f64; 3] {
+        let (axis, is_against) = self.parts();
+        let mut direction = [0.0; 3];
+        direction[axis] = if is_against { -1.0 } else { 1.0 };
+        direction
+    }
+
+    /// Returns the direction that is nearest to this vector.
+    pub(crate) fn nearest(to: [f64; 3]) -> Self {
+        let along = |axis: &Self| axis.direction().iter().zip(to).map(|(a, b)| a * b).sum::<f64>();
+        let better = |best: Self, axis: Self| if along(&axis) > along(&best) { axis } else { best };
+        [Axis::MinusX, Axis::PlusY, Axis::MinusY, Axis::PlusZ, Axis::MinusZ].into_iter().fold(Axis::PlusX, better)
     }
 
     fn of(self, values: [i16; 3]) -> i16 {
@@ -113,7 +147,7 @@ impl OneHanded {
     pub fn is_sound(&self) -> bool {
         let mut axes = [self.forward, self.left, self.up].map(|axis| axis.parts().0);
         axes.sort_unstable();
-        let near = |mrad: i16| mrad.unsigned_abs() <= 524;
+        let near = |mrad: i16| mrad.unsigned_abs() <= NEUTRAL_MAX_MRAD;
         axes == [0, 1, 2] && near(self.neutral_pitch_mrad) && near(self.neutral_roll_mrad)
     }
 }
@@ -124,13 +158,32 @@ impl Default for OneHanded {
     }
 }
 
+/// The tilt of one hop.
+#[derive(Clone, Copy, Debug)]
+struct Hop {
+    number: u16,
+    angles: Angles,
+    acceleration_mm_s2: [i16; 3],
+}
+
+impl Hop {
+    /// Returns whether the acceleration differs from that of another hop as it does while a hand moves.
+    fn moves_from(&self, other: &Self) -> bool {
+        let [x, y, z] = std::array::from_fn(|i| {
+            f64::from(self.acceleration_mm_s2[i]) - f64::from(other.acceleration_mm_s2[i])
+        });
+        let most: f64 = std::env::var("MOVES").map_or(MOVING_MM_S2, |s| s.parse().unwrap());
+        x * x + y * y + z * z > most * most
+    }
+}
+
 /// The right hand as a left hand.
 #[derive(Clone, Debug)]
 pub(crate) struct TiltHand {
     rules: OneHanded,
     detector: TiltDetector,
-    /// Number and tilt of the newest hop.
-    newest: Option<(u16, Angles)>,
+    /// The newest hop.
+    newest: Option<Hop>,
     /// The detector's newest heading, and for how many hops it has not changed.
     found: (Heading, u8),
     /// Whether this board cannot drive. Nothing moves until another one starts.
@@ -154,7 +207,10 @@ impl TiltHand {
     }
 
     /// Adds a hop. While the hand draws, it gives no command, and must be neutral before it drives again.
-    pub fn step(&mut self, hop: u16, acceleration_mm_s2: [i16; 3], draws: bool) -> (Heading, Tilt) {
+    ///
+    /// A driving hand is still. The scores need up to a second to show that a hand draws.
+    /// A sudden movement of a driving hand therefore counts as the beginning of a gesture.
+    pub fn step(&mut self, number: u16, acceleration_mm_s2: [i16; 3], draws: bool) -> (Heading, Tilt) {
         let OneHanded { forward, left, up, neutral_pitch_mrad, neutral_roll_mrad, .. } = self.rules;
         // The code of the left hand has x to the wrist and y to the right.
         let a = Acceleration {
@@ -167,7 +223,9 @@ impl TiltHand {
             pitch_mrad: level.pitch_mrad - neutral_pitch_mrad,
             roll_mrad: level.roll_mrad - neutral_roll_mrad,
         };
-        let before = self.newest.replace((hop, angles));
+        let hop = Hop { number, angles, acceleration_mm_s2 };
+        let before = self.newest.replace(hop).unwrap_or(hop);
+        let draws = draws || self.drives() && hop.moves_from(&before);
         let size = acceleration_mm_s2.iter().map(|&a| f64::from(a).powi(2)).sum::<f64>().sqrt();
         let heading = if draws {
             self.detector.disarm();
@@ -176,19 +234,24 @@ impl TiltHand {
             // A single jolt keeps the heading, and a second one ends it, as with a hand that is turned over.
             self.detector.turned_over()
         } else {
-            self.hop(before, hop, angles)
+            self.hop(before, hop)
         };
         let (last, hops) = self.found;
         self.found = (heading, if heading == last { hops.saturating_add(1) } else { 0 });
-        let waits = heading.is_command() && self.found.1 < CONFIRMING_HOPS;
+        let waits = heading.is_command() && !self.drives();
         let heading = if waits { Heading::Between } else { heading };
         (heading, Tilt { pitch_mrad: angles.pitch_mrad, roll_mrad: angles.roll_mrad })
     }
 
+    /// Returns whether the newest heading is a command that has lasted long enough.
+    fn drives(&self) -> bool {
+        let (heading, hops) = self.found;
+        heading.is_command() && hops >= CONFIRMING_HOPS
+    }
+
     /// The detector's times are counted in samples, so the tilts between two hops are interpolated.
-    fn hop(&mut self, before: Option<(u16, Angles)>, hop: u16, angles: Angles) -> Heading {
-        let (last, from) = before.unwrap_or((hop, angles));
-        if hop.wrapping_sub(last) != 1 {
+    fn hop(&mut self, before: Hop, hop: Hop) -> Heading {
+        if hop.number.wrapping_sub(before.number) != 1 {
             // Whatever happened meanwhile, no command starts because of it.
             self.detector.hold();
         }
@@ -198,8 +261,8 @@ impl TiltHand {
         };
         (1..=HOP).fold(Heading::Between, |_, part| {
             self.detector.step(Angles {
-                pitch_mrad: between(from.pitch_mrad, angles.pitch_mrad, part),
-                roll_mrad: between(from.roll_mrad, angles.roll_mrad, part),
+                pitch_mrad: between(before.angles.pitch_mrad, hop.angles.pitch_mrad, part),
+                roll_mrad: between(before.angles.roll_mrad, hop.angles.roll_mrad, part),
             })
         })
     }
