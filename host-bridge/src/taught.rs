@@ -25,7 +25,9 @@ pub enum TaughtError {
     #[error("pose '{0}' is there already, given by its place; take it out, or choose another name")]
     ByPlace(String),
     /// The section exists, but it is not written as a section.
-    #[error("write one_handed as a section [one_handed], one key per line, so that the axes can be added to it")]
+    #[error(
+        "write one_handed as a section [one_handed], one key per line, so that the axes can be added to it"
+    )]
     NoSection,
 }
 
@@ -151,12 +153,8 @@ mod tests {
     fn the_axes_of_a_worn_board_replace_known_keys_and_nothing_else_changes() {
         use crate::config::Config;
         use crate::one_handed::Axis;
-        let worn = OneHanded {
-            forward: Axis::MinusY,
-            left: Axis::PlusX,
-            neutral_roll_mrad: -12,
-            ..OneHanded::OFF
-        };
+        let worn =
+            OneHanded { forward: Axis::MinusY, left: Axis::PlusX, neutral_roll_mrad: -12, ..OneHanded::OFF };
         let read = |text: &str| Config::parse(text).unwrap().one_handed;
         let first = with_worn("", &worn).unwrap();
         assert!(first.starts_with("[one_handed]\n") && read(&first) == worn, "{first}");

@@ -109,7 +109,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// Determines how the right hand's board is worn. The right board stores no calibration, so a configuration file does.
 fn one_handed(args: &Args) -> Result<ExitCode> {
     let Some(file) = &args.port.config else {
-        bail!("name the file that the board's axes are written into: --config FILE (it is created if there is none)");
+        bail!(
+            "name the file that the board's axes are written into: --config FILE (it is created if there is none)"
+        );
     };
     let config = if file.exists() { read_config(Some(file))? } else { Config::default() };
     let port = port_of(Hand::Right, args.port.port.as_deref(), &config)?;
@@ -210,8 +212,7 @@ fn measure(talk: &mut Talk) -> Result<Option<[f64; 3]>> {
 /// Writes the axes into the file, and preserves everything else.
 fn store(file: &Path, worn: &OneHanded) -> Result<()> {
     let about = || file.display().to_string();
-    let text =
-        if file.exists() { std::fs::read_to_string(file).with_context(about)? } else { String::new() };
+    let text = if file.exists() { std::fs::read_to_string(file).with_context(about)? } else { String::new() };
     let new = with_worn(&text, worn).with_context(about)?;
     // Checks that the new file is valid.
     Config::parse(&new).with_context(about)?;

@@ -195,7 +195,8 @@ fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
 
     // By these axes, the hand that was tilted forward drives forward.
     right.tilt(0.0, 0.0);
-    let run_args = ["run", "--one-handed", "--right", &right.port(), "--config", &file, "--json", "--seconds", "60"];
+    let run_args =
+        ["run", "--one-handed", "--right", &right.port(), "--config", &file, "--json", "--seconds", "60"];
     let mut drive = start(&desk, &run_args);
     drive.wait(&["\"state\"", "armed"]);
     right.tilt(-35.0, 0.0);

@@ -57,7 +57,9 @@ pub fn text(event: &SessionEvent) -> String {
             HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
             HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
             HaltReason::RobotRefuses => "HALT: the robot refuses to move".to_owned(),
-            HaltReason::Clutch => "HALT: the hand changes over between base and arm; neutral first".to_owned(),
+            HaltReason::Clutch => {
+                "HALT: the hand changes over between base and arm; neutral first".to_owned()
+            }
             HaltReason::NotAtRest => {
                 "HALT: the right hand does not rest, so the tool does not move".to_owned()
             }

@@ -45,6 +45,10 @@ pub(crate) const NEUTRAL_MAX_MRAD: u16 = 524;
 /// A hand that turns at 70°/s changes it by as much.
 const MOVING_MM_S2: f64 = 1000.0;
 
+/// The acceleration of a wearer who walks changes more.
+/// While this wearer drives, it may change by this multiple of its largest change before the base followed.
+const RESTLESS: f64 = 2.0;
+
 /// A direction of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Axis {
@@ -105,7 +109,9 @@ impl Axis {
     pub(crate) fn nearest(to: [f64; 3]) -> Self {
         let along = |axis: &Self| axis.direction().iter().zip(to).map(|(a, b)| a * b).sum::<f64>();
         let better = |best: Self, axis: Self| if along(&axis) > along(&best) { axis } else { best };
-        [Axis::MinusX, Axis::PlusY, Axis::MinusY, Axis::PlusZ, Axis::MinusZ].into_iter().fold(Axis::PlusX, better)
+        [Axis::MinusX, Axis::PlusY, Axis::MinusY, Axis::PlusZ, Axis::MinusZ]
+            .into_iter()
+            .fold(Axis::PlusX, better)
     }
 
     fn of(self, values: [i16; 3]) -> i16 {
@@ -167,13 +173,46 @@ struct Hop {
 }
 
 impl Hop {
-    /// Returns whether the acceleration differs from that of another hop as it does while a hand moves.
-    fn moves_from(&self, other: &Self) -> bool {
-        let [x, y, z] = std::array::from_fn(|i| {
-            f64::from(self.acceleration_mm_s2[i]) - f64::from(other.acceleration_mm_s2[i])
-        });
-        let most: f64 = std::env::var("MOVES").map_or(MOVING_MM_S2, |s| s.parse().unwrap());
-        x * x + y * y + z * z > most * most
+    /// Returns the size of the change of the acceleration since another hop, in mm/s².
+    fn change_mm_s2(&self, since: &Self) -> f64 {
+        let pairs = self.acceleration_mm_s2.iter().zip(since.acceleration_mm_s2);
+        pairs.map(|(&now, then)| (f64::from(now) - f64::from(then)).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+/// The detector's newest heading.
+#[derive(Clone, Copy, Debug)]
+struct Found {
+    heading: Heading,
+    /// For how many further hops it has not changed.
+    hops: u8,
+    /// The largest change of the acceleration while the command waited for its confirmation, in mm/s².
+    restless_mm_s2: f64,
+}
+
+impl Found {
+    const NOTHING: Self = Found { heading: Heading::Between, hops: 0, restless_mm_s2: 0.0 };
+
+    /// Returns whether this is a command that has lasted long enough.
+    fn drives(&self) -> bool {
+        self.heading.is_command() && self.hops >= CONFIRMING_HOPS
+    }
+
+    /// Returns whether the driving hand moves more than it did when it began to drive.
+    fn is_moved(&self, change_mm_s2: f64) -> bool {
+        self.drives() && change_mm_s2 > MOVING_MM_S2.max(RESTLESS * self.restless_mm_s2)
+    }
+
+    /// Adds the heading of one hop.
+    fn see(&mut self, heading: Heading, change_mm_s2: f64) {
+        if heading != self.heading {
+            *self = Found { heading, ..Found::NOTHING };
+            return;
+        }
+        if !self.drives() {
+            self.restless_mm_s2 = self.restless_mm_s2.max(change_mm_s2);
+        }
+        self.hops = self.hops.saturating_add(1);
     }
 }
 
@@ -184,8 +223,7 @@ pub(crate) struct TiltHand {
     detector: TiltDetector,
     /// The newest hop.
     newest: Option<Hop>,
-    /// The detector's newest heading, and for how many hops it has not changed.
-    found: (Heading, u8),
+    found: Found,
     /// Whether this board cannot drive. Nothing moves until another one starts.
     pub is_refused: bool,
 }
@@ -196,7 +234,7 @@ impl TiltHand {
             rules,
             detector: TiltDetector::new(thresholds),
             newest: None,
-            found: (Heading::Between, 0),
+            found: Found::NOTHING,
             is_refused: false,
         }
     }
@@ -225,7 +263,8 @@ impl TiltHand {
         };
         let hop = Hop { number, angles, acceleration_mm_s2 };
         let before = self.newest.replace(hop).unwrap_or(hop);
-        let draws = draws || self.drives() && hop.moves_from(&before);
+        let change_mm_s2 = hop.change_mm_s2(&before);
+        let draws = draws || self.found.is_moved(change_mm_s2);
         let size = acceleration_mm_s2.iter().map(|&a| f64::from(a).powi(2)).sum::<f64>().sqrt();
         let heading = if draws {
             self.detector.disarm();
@@ -236,17 +275,10 @@ impl TiltHand {
         } else {
             self.hop(before, hop)
         };
-        let (last, hops) = self.found;
-        self.found = (heading, if heading == last { hops.saturating_add(1) } else { 0 });
-        let waits = heading.is_command() && !self.drives();
+        self.found.see(heading, change_mm_s2);
+        let waits = heading.is_command() && !self.found.drives();
         let heading = if waits { Heading::Between } else { heading };
         (heading, Tilt { pitch_mrad: angles.pitch_mrad, roll_mrad: angles.roll_mrad })
-    }
-
-    /// Returns whether the newest heading is a command that has lasted long enough.
-    fn drives(&self) -> bool {
-        let (heading, hops) = self.found;
-        heading.is_command() && hops >= CONFIRMING_HOPS
     }
 
     /// The detector's times are counted in samples, so the tilts between two hops are interpolated.
@@ -353,6 +385,40 @@ mod tests {
         assert_eq!(rig.run(tilted(25.0, 0.0), 50), Heading::Between);
         rig.run(tilted(0.0, 0.0), 2);
         assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+    }
+
+    #[test]
+    fn a_sudden_movement_of_a_driving_hand_brakes_at_its_first_hop_and_needs_neutral_afterwards() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+        let [x, y, z] = tilted(25.0, 0.0);
+        assert_eq!(rig.run([x, y + 990, z], 1), Heading::Forward);
+        assert_eq!(rig.run([x, y, z], 1), Heading::Forward);
+        assert_eq!(rig.run([x, y + 1010, z], 1), Heading::Between);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 50), Heading::Between);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+    }
+
+    #[test]
+    fn a_driving_hand_may_turn_slowly_and_a_restless_one_may_move_on_as_before() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        rig.run(tilted(20.0, 0.0), 10);
+        // 50°/s.
+        for pitch in [24.0, 28.0, 32.0, 36.0, 40.0] {
+            assert_eq!(rig.run(tilted(pitch, 0.0), 1), Heading::Forward);
+        }
+        // The acceleration of a wearer who walks changes by 1.6 m/s² from hop to hop.
+        rig.run(tilted(0.0, 0.0), 2);
+        let [x, y, z] = tilted(25.0, 0.0);
+        let walk = |rig: &mut Rig, hops: i16| {
+            (0..hops).fold(Heading::Between, |_, hop| rig.run([x, y, z + 800 * (hop % 2 * 2 - 1)], 1))
+        };
+        assert_eq!(walk(&mut rig, 10), Heading::Forward);
+        assert_eq!(walk(&mut rig, 40), Heading::Forward);
+        assert_eq!(rig.run([x, y + 4000, z], 1), Heading::Between, "it draws");
     }
 
     #[test]

@@ -42,7 +42,9 @@ pub enum PoseError {
     )]
     Mirrored,
     /// Both tilts were about the same axis.
-    #[error("this tilt is in the same direction as the one before, or against it; lower the left edge of the hand")]
+    #[error(
+        "this tilt is in the same direction as the one before, or against it; lower the left edge of the hand"
+    )]
     SameAxis,
 }
 
@@ -105,7 +107,9 @@ impl Level {
         let forward = self.lowered(mean_mm_s2)?;
         let ([ux, uy, uz], [fx, fy, fz]) = (self.up.direction(), forward.direction());
         let left = Axis::nearest([uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx]);
-        let along = |axis: Axis| (1000.0 * axis.direction().iter().zip(self.mean).map(|(d, m)| d * m).sum::<f64>()) as i16;
+        let along = |axis: Axis| {
+            (1000.0 * axis.direction().iter().zip(self.mean).map(|(d, m)| d * m).sum::<f64>()) as i16
+        };
         // See `TiltHand`: the code of the left hand has x to the wrist and y to the right.
         let neutral = Angles::of(Acceleration { x: -along(forward), y: -along(left), z: along(self.up) });
         let (neutral_pitch_mrad, neutral_roll_mrad) = (neutral.pitch_mrad, neutral.roll_mrad);
@@ -153,7 +157,8 @@ mod tests {
                 let worn = OneHanded { forward, left, up, ..OneHanded::OFF };
                 for (pitch, roll) in [(0.0, 0.0), (12.0, -8.0), (-15.0, 10.0)] {
                     let level = Level::of(read(&worn, tilted(pitch, roll))).unwrap();
-                    let found = level.forward(OneHanded::OFF, read(&worn, tilted(pitch + 30.0, roll))).unwrap();
+                    let found =
+                        level.forward(OneHanded::OFF, read(&worn, tilted(pitch + 30.0, roll))).unwrap();
                     level.check_left(&found, read(&worn, tilted(pitch, roll + 30.0))).unwrap();
                     assert_eq!((found.forward, found.left, found.up), (forward, left, up));
                     assert!(found.is_sound());

@@ -137,11 +137,7 @@ impl Diagnostics {
 /// Returns the tilt of the hand that drives.
 fn tilt(bridge: &Bridge) -> Vec<KeyValue> {
     let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
-    vec![
-        value("heading", heading.name()),
-        value("pitch_mrad", pitch_mrad),
-        value("roll_mrad", roll_mrad),
-    ]
+    vec![value("heading", heading.name()), value("pitch_mrad", pitch_mrad), value("roll_mrad", roll_mrad)]
 }
 
 fn health(bridge: &Bridge, hand: Hand) -> (u8, &'static str) {
@@ -172,7 +168,18 @@ mod tests {
     use super::*;
     use host_core::bridge::GestureOutcome;
     use host_core::intent::MotionMap;
+    use host_core::one_handed::OneHanded;
     use host_robot::MotionName;
+
+    #[test]
+    fn in_one_handed_mode_the_right_hand_has_the_tilt_and_there_is_no_left_one() {
+        let rules = OneHanded { on: true, ..OneHanded::OFF };
+        let bridge = Bridge::new(MotionMap::default()).one_handed(rules, Default::default());
+        let message = Diagnostics::default().take("bimanual", &bridge, 0, Time::default()).unwrap();
+        let names: Vec<&str> = message.status.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["bimanual: bridge", "bimanual: right hand"]);
+        assert!(message.status[1].values.iter().any(|v| v.key == "heading" && v.value == "neutral"));
+    }
 
     #[test]
     fn events_are_published_at_once_and_a_quiet_bridge_once_a_second() {

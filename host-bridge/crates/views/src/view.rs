@@ -205,7 +205,10 @@ impl View {
         ));
         if snapshot.jogging {
             let held = snapshot.jog_held.as_ref().map(|why| format!("; held: {why}")).unwrap_or_default();
-            lines.push((Color::Yellow, format!("JOG    the {driving} hand moves the tool, not the base{held}")));
+            lines.push((
+                Color::Yellow,
+                format!("JOG    the {driving} hand moves the tool, not the base{held}"),
+            ));
         }
         if let Some(reason) = &snapshot.refusal {
             lines.push((Color::Red, format!("robot  {reason}")));
