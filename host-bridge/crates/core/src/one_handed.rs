@@ -6,6 +6,7 @@
 //! Silence, late states, neutral, stops and the clutch therefore work as with two hands.
 //!
 //! **Axes.** The heading does not depend on the kind of board, but on how the wearer mounts it.
+//! [`crate::worn`] determines the axes from three poses.
 //! By default, the board lies flat with its components up, +x points to the fingers, and +y points to the left.
 //! The simulated wearers of `models` use the same axes.
 //! An axis that points up reads +1 g.
