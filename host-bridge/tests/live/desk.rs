@@ -169,8 +169,12 @@ fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
 #[test]
 fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
     let desk = Desk::new("live-12");
-    // From 42.5 s on, the recorded hand rests.
-    let right = Double::right(&desk, 42.5);
+    let right = Double::right(&desk, 0.0);
+    // The recorded hand rests for 8.5 s from here on.
+    let rest = || {
+        right.tilt(0.0, 0.0);
+        right.jump(42.5);
+    };
     let file = desk.path("hand.toml");
     std::fs::write(&file, "# my hand\n[speed]\nstart = 0.3\n").unwrap();
     let file = file.display().to_string();
@@ -179,6 +183,7 @@ fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
     assert!(!status.success() && text.contains("--config FILE"), "{text}");
 
     // The board is worn the wrong way round: its x axis points to the wrist.
+    rest();
     let mut calibrate = start(&desk, &args);
     calibrate.wait(&["1.", "level"]);
     calibrate.wait(&["2.", "forward"]);
@@ -194,7 +199,7 @@ fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
     }
 
     // By these axes, the hand that was tilted forward drives forward.
-    right.tilt(0.0, 0.0);
+    rest();
     let run_args =
         ["run", "--one-handed", "--right", &right.port(), "--config", &file, "--json", "--seconds", "60"];
     let mut drive = start(&desk, &run_args);
@@ -205,7 +210,7 @@ fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
     drop(drive);
 
     // The hand never tilts.
-    right.tilt(0.0, 0.0);
+    rest();
     let (status, text) = run(&desk, &[&args[..6], &["--every", "0"]].concat());
     assert_eq!(status.code(), Some(1), "{text}");
     assert_eq!(text.matches("tilt it by 20° to 45°").count(), 3, "{text}");
