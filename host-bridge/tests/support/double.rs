@@ -20,7 +20,7 @@ use shared_proto::message::{Board as Kind, HostMessage, Mode};
 
 use crate::desk::program::Desk;
 use crate::desk::station::{Board, Station};
-use crate::wrist::tilted;
+use crate::wrist::Turning;
 
 /// Counts of a level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -263,8 +263,7 @@ struct Right {
     store: ModelStore<RamFlash>,
     samples: Vec<[i16; 9]>,
     start: usize,
-    /// Pitch and roll.
-    tilt_deg: [f64; 2],
+    turning: Turning,
 }
 
 impl Right {
@@ -274,7 +273,13 @@ impl Right {
         let count = |s: &[f32]| std::array::from_fn(|i| (s[i] / SCALE[i / 3]).round() as i16);
         let (board, store) = Self::start(0, RamFlash::blank());
         let start = (start_s * 100.0) as usize;
-        Right { board, store, samples: recording.samples().map(count).collect(), start, tilt_deg: [0.0; 2] }
+        Right {
+            board,
+            store,
+            samples: recording.samples().map(count).collect(),
+            start,
+            turning: Turning::default(),
+        }
     }
 
     /// Starts with the model in flash, or otherwise with the bundled model.
@@ -299,13 +304,14 @@ impl Hand for Right {
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         let number = (now_ms / PERIOD_MS) as usize;
         let counts = self.samples[(self.start + number) % self.samples.len()];
-        // All axes of a sensor have the same scale.
-        let counts = tilted(counts.map(f64::from), self.tilt_deg).map(|count| count.round() as i16);
+        let scale = |axis: usize| f64::from(SCALE[axis / 3]);
+        let values = self.turning.step(std::array::from_fn(|axis| f64::from(counts[axis]) * scale(axis)));
+        let counts = std::array::from_fn(|axis| (values[axis] / scale(axis)).round() as i16);
         self.board.sample(&counts, now_ms, wire);
     }
 
     fn tilt(&mut self, deg: [f64; 2]) {
-        self.tilt_deg = deg;
+        self.turning.to_deg = deg;
     }
 
     fn jump(&mut self, to_s: f64, now_ms: u64) {

@@ -16,20 +16,18 @@ pub struct Wrist {
     rest: Range<usize>,
     /// The next row of a gesture, and its end.
     pub drawing: Option<Range<usize>>,
-    /// The pitch and the roll to which the hand turns, in degrees.
-    pub wanted_deg: [f64; 2],
-    now_deg: [f64; 2],
+    turning: Turning,
     next: usize,
 }
 
 impl Wrist {
     pub fn new(rows: Rows, rest: Range<usize>) -> Self {
-        Wrist { rows, rest, drawing: None, wanted_deg: [0.0; 2], now_deg: [0.0; 2], next: 0 }
+        Wrist { rows, rest, drawing: None, turning: Turning::default(), next: 0 }
     }
 
     /// Turns the hand to this pitch (positive = forward) and this roll (positive = left).
     pub fn tilt(&mut self, pitch_deg: f64, roll_deg: f64) {
-        self.wanted_deg = [pitch_deg, roll_deg];
+        self.turning.to_deg = [pitch_deg, roll_deg];
     }
 
     /// Returns the sample of the next 10 ms.
@@ -42,12 +40,27 @@ impl Wrist {
             row = start;
             self.drawing = (start + 1 < end).then_some(start + 1..end);
         }
+        self.turning.step(self.rows[row])
+    }
+}
+
+/// A hand that turns to a pitch and a roll.
+#[derive(Default)]
+pub struct Turning {
+    /// The pitch and the roll to which the hand turns, in degrees.
+    pub to_deg: [f64; 2],
+    now_deg: [f64; 2],
+}
+
+impl Turning {
+    /// Turns the sample of the next 10 ms.
+    pub fn step(&mut self, values: [f64; 9]) -> [f64; 9] {
         let mut turned = [0.0; 2];
         for axis in 0..2 {
-            turned[axis] = (self.wanted_deg[axis] - self.now_deg[axis]).clamp(-TURN_DEG, TURN_DEG);
+            turned[axis] = (self.to_deg[axis] - self.now_deg[axis]).clamp(-TURN_DEG, TURN_DEG);
             self.now_deg[axis] += turned[axis];
         }
-        let mut values = tilted(self.rows[row], self.now_deg);
+        let mut values = tilted(values, self.now_deg);
         // Degrees per sample of 10 ms to degrees per second, about the axes forward and left.
         values[3] -= 100.0 * turned[1];
         values[4] += 100.0 * turned[0];
