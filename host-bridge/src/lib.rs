@@ -29,7 +29,7 @@ pub mod wearer;
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
     bridge, describe, doubt, engine, episodes, intent, jog, latency, link, observe, one_handed, safety,
-    session, source, tilt,
+    session, source, tilt, worn,
 };
 pub use host_links::{capture, hands, keyboard, links, showing, survey, talk, upload, wire};
 pub use host_robot as robot;

@@ -16,6 +16,8 @@ mod lateness;
 mod renamed;
 #[path = "support/talker.rs"]
 mod talker;
+#[path = "support/wrist.rs"]
+mod wrist;
 
 #[cfg(feature = "ros2")]
 use desk::{port, program, time};

@@ -74,6 +74,11 @@ const FAULTS: &[Fault] = &[
         &[],
     ),
     fault("virtual: driving in proportion to the tilt", &["--test", "proportional"], &[]),
+    fault(
+        "virtual: one hand drives: its link cut, silent or frozen; a gesture begins",
+        &["--test", "one_handed"],
+        &["a_cut_link", "a_gesture_that_begins"],
+    ),
     with(Needs::Speed, fault("mutated streams", &["-p", "shared-proto", "--test", "mutations"], &[])),
     fault("mutated files", &["--test", "hostile_files"], &[]),
     fault(

@@ -167,6 +167,58 @@ fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
 }
 
 #[test]
+fn three_poses_show_how_a_right_board_is_worn_and_run_drives_by_them() {
+    let desk = Desk::new("live-12");
+    let right = Double::right(&desk, 0.0);
+    // The recorded hand rests for 8.5 s from here on.
+    let rest = || {
+        right.tilt(0.0, 0.0);
+        right.jump(42.5);
+    };
+    let file = desk.path("hand.toml");
+    std::fs::write(&file, "# my hand\n[speed]\nstart = 0.3\n").unwrap();
+    let file = file.display().to_string();
+    let args = ["calibrate", "--one-handed", "--right", &right.port(), "--config", &file, "--every", "0.8"];
+    let (status, text) = run(&desk, &args[..4]);
+    assert!(!status.success() && text.contains("--config FILE"), "{text}");
+
+    // The board is worn the wrong way round: its x axis points to the wrist.
+    rest();
+    let mut calibrate = start(&desk, &args);
+    calibrate.wait(&["1.", "level"]);
+    calibrate.wait(&["2.", "forward"]);
+    right.tilt(-35.0, 0.0);
+    calibrate.wait(&["3.", "left"]);
+    right.tilt(0.0, -35.0);
+    let (status, text) = calibrate.end();
+    assert!(status.success(), "{text}");
+    let written = std::fs::read_to_string(&file).unwrap();
+    assert!(written.starts_with("# my hand\n[speed]\nstart = 0.3\n"), "{written}");
+    for line in ["[one_handed]", "forward = \"-x\"", "left = \"-y\"", "up = \"+z\""] {
+        assert!(written.lines().any(|written| written == line), "{line}: {written}");
+    }
+
+    // By these axes, the hand that was tilted forward drives forward.
+    rest();
+    let run_args =
+        ["run", "--one-handed", "--right", &right.port(), "--config", &file, "--json", "--seconds", "60"];
+    let mut drive = start(&desk, &run_args);
+    drive.wait(&["\"state\"", "armed"]);
+    right.tilt(-35.0, 0.0);
+    let line = drive.wait(&["\"heading\"", "forward"]);
+    assert!(line.contains("\"hand\":\"right\""), "{line}");
+    drop(drive);
+
+    // The hand never tilts.
+    rest();
+    let (status, text) = run(&desk, &[&args[..6], &["--every", "0"]].concat());
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert_eq!(text.matches("tilt it by 20° to 45°").count(), 3, "{text}");
+    assert!(text.contains("nothing is stored"), "{text}");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), written);
+}
+
+#[test]
 fn record_writes_what_the_sensor_read_in_the_training_layout() {
     let desk = Desk::new("live-7");
     let right = Double::right(&desk, 0.0);

@@ -20,6 +20,7 @@ use shared_proto::message::{Board as Kind, HostMessage, Mode};
 
 use crate::desk::program::Desk;
 use crate::desk::station::{Board, Station};
+use crate::wrist::Turning;
 
 /// Counts of a level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -96,6 +97,11 @@ impl Double {
         self.0.with(|machine| machine.hand.hold(counts));
     }
 
+    /// Tilts the right hand by this pitch (positive = forward) and this roll (positive = left).
+    pub fn tilt(&self, pitch_deg: f64, roll_deg: f64) {
+        self.0.with(|machine| machine.hand.tilt([pitch_deg, roll_deg]));
+    }
+
     /// Makes the right hand continue its recording from this time.
     pub fn jump(&self, to_s: f64) {
         self.0.with(|machine| machine.hand.jump(to_s, machine.now_ms - machine.started_ms));
@@ -111,6 +117,7 @@ trait Hand {
     /// Processes a byte from the laptop. Returns how many milliseconds the board is busy before it replies.
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
+    fn tilt(&mut self, _deg: [f64; 2]) {}
     fn jump(&mut self, _to_s: f64, _now_ms: u64) {}
 }
 
@@ -256,6 +263,7 @@ struct Right {
     store: ModelStore<RamFlash>,
     samples: Vec<[i16; 9]>,
     start: usize,
+    turning: Turning,
 }
 
 impl Right {
@@ -265,7 +273,13 @@ impl Right {
         let count = |s: &[f32]| std::array::from_fn(|i| (s[i] / SCALE[i / 3]).round() as i16);
         let (board, store) = Self::start(0, RamFlash::blank());
         let start = (start_s * 100.0) as usize;
-        Right { board, store, samples: recording.samples().map(count).collect(), start }
+        Right {
+            board,
+            store,
+            samples: recording.samples().map(count).collect(),
+            start,
+            turning: Turning::default(),
+        }
     }
 
     /// Starts with the model in flash, or otherwise with the bundled model.
@@ -290,7 +304,14 @@ impl Hand for Right {
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         let number = (now_ms / PERIOD_MS) as usize;
         let counts = self.samples[(self.start + number) % self.samples.len()];
+        let scale = |axis: usize| f64::from(SCALE[axis / 3]);
+        let values = self.turning.step(std::array::from_fn(|axis| f64::from(counts[axis]) * scale(axis)));
+        let counts = std::array::from_fn(|axis| (values[axis] / scale(axis)).round() as i16);
         self.board.sample(&counts, now_ms, wire);
+    }
+
+    fn tilt(&mut self, deg: [f64; 2]) {
+        self.turning.to_deg = deg;
     }
 
     fn jump(&mut self, to_s: f64, now_ms: u64) {

@@ -57,20 +57,22 @@ pub fn text(event: &SessionEvent) -> String {
             HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
             HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
             HaltReason::RobotRefuses => "HALT: the robot refuses to move".to_owned(),
-            HaltReason::Clutch => "HALT: the left hand changes over; neutral first".to_owned(),
+            HaltReason::Clutch => {
+                "HALT: the hand changes over between base and arm; neutral first".to_owned()
+            }
             HaltReason::NotAtRest => {
                 "HALT: the right hand does not rest, so the tool does not move".to_owned()
             }
         },
         EventKind::Released => "the stop is released".to_owned(),
-        EventKind::Heading { heading, twist, .. } => match heading {
-            Heading::Neutral | Heading::Between => "left hand: base halts".to_owned(),
+        EventKind::Heading { hand, heading, twist, .. } => match heading {
+            Heading::Neutral | Heading::Between => format!("{hand} hand: base halts"),
             Heading::Forward | Heading::Backward => {
-                format!("left hand: {} at {:.2} m/s", heading.name(), twist.linear_m_s.abs())
+                format!("{hand} hand: {} at {:.2} m/s", heading.name(), twist.linear_m_s.abs())
             }
             Heading::Left | Heading::Right => {
                 let speed_deg_s = twist.angular_rad_s.abs().to_degrees();
-                format!("left hand: turn {} at {speed_deg_s:.0}°/s", heading.name())
+                format!("{hand} hand: turn {} at {speed_deg_s:.0}°/s", heading.name())
             }
         },
         EventKind::Caps { index, middle, cap } => {
@@ -84,8 +86,8 @@ pub fn text(event: &SessionEvent) -> String {
                 GestureOutcome::Busy(motion) => format!("dropped, the arm is busy with {motion}"),
                 GestureOutcome::Refused(motion) => format!("dropped, {motion} is not safe now"),
                 GestureOutcome::EndedArm => "ends the arm's motion".to_owned(),
-                GestureOutcome::Lent => "lends the left hand to the arm; neutral first".to_owned(),
-                GestureOutcome::TakenBack => "takes the left hand back; neutral first".to_owned(),
+                GestureOutcome::Lent => "lends the hand to the arm; neutral first".to_owned(),
+                GestureOutcome::TakenBack => "takes the hand back; neutral first".to_owned(),
                 GestureOutcome::NoMotion => "no motion (see --map)".to_owned(),
                 GestureOutcome::Late => "dropped, too old".to_owned(),
                 GestureOutcome::NotArmed => "dropped, not armed".to_owned(),
@@ -104,10 +106,10 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::RobotRefuses { reason } => format!("the robot refuses to move: {reason}"),
         EventKind::RobotReady => "the robot does not refuse any more; neutral first".to_owned(),
         EventKind::ArmEnded => "arm: its motion is ended by a key".to_owned(),
-        EventKind::Jogging { lent: true } => {
-            "jogging: the left hand moves the arm's tool, the base stands still".to_owned()
+        EventKind::Jogging { hand, lent: true } => {
+            format!("jogging: the {hand} hand moves the arm's tool, the base stands still")
         }
-        EventKind::Jogging { lent: false } => "jogging ends: the left hand drives the base".to_owned(),
+        EventKind::Jogging { hand, lent: false } => format!("jogging ends: the {hand} hand drives the base"),
         EventKind::Restricted { text } => format!("restricted: {text}"),
         EventKind::Robot { text } => format!("robot: {text}"),
         EventKind::Ignored { what } => match what {

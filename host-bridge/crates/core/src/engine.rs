@@ -286,14 +286,13 @@ impl<'b, D: Door> Engine<'b, D> {
         let events = self.decide(now_ms);
         for event in &events {
             if let EventKind::HandStarted { hand, .. } = event.kind {
-                // In one-handed mode, the same request lets a right board send its tilt.
-                let is_tilting = if self.bridge.is_one_handed() { Hand::Right } else { Hand::Left };
-                let tilt = hand == is_tilting && (self.tilt.is_some() || hand == Hand::Right);
-                self.want(hand, if tilt { Wanted::Thresholds } else { Wanted::Classify });
-                if tilt && hand == Hand::Right && !self.sources[hand].is_link() {
-                    let (request, thresholds) = (self.request, self.tilt.unwrap_or_default());
-                    self.send(hand, &HostMessage::SetThresholds { request, thresholds }, now_ms);
-                }
+                let wants = match hand {
+                    // Hands inside this program keep their own thresholds.
+                    Hand::Left => self.tilt.is_some() && self.sources[hand].is_link(),
+                    // In one-handed mode, the same request lets a right board send its tilt.
+                    Hand::Right => self.bridge.is_one_handed(),
+                };
+                self.want(hand, if wants { Wanted::Thresholds } else { Wanted::Classify });
             }
             if let EventKind::Gesture {
                 label,
@@ -308,7 +307,7 @@ impl<'b, D: Door> Engine<'b, D> {
         }
         self.feel(&events, ready.right, now_ms);
         for hand in Hand::BOTH {
-            if ready[hand] {
+            if ready[hand] || !self.sources[hand].is_link() {
                 self.set_up(hand, now_ms);
             }
         }
@@ -336,21 +335,24 @@ impl<'b, D: Door> Engine<'b, D> {
     }
 
     fn want(&mut self, hand: Hand, what: Wanted) {
+        if what == Wanted::Classify && !self.sources[hand].is_link() {
+            // Hands inside this program have no record mode.
+            self.set_ups[hand] = None;
+            return;
+        }
         self.request = self.request.wrapping_add(1);
         self.set_ups[hand] = Some(SetUp { request: self.request, sent_ms: None, what });
     }
 
-    /// Sends thresholds to a left board that has just started, and ends record mode on any board.
+    /// Sends thresholds to a board that has just started, and ends record mode on any board.
     /// The message is repeated until the board answers.
     fn set_up(&mut self, hand: Hand, now_ms: u64) {
         let Some(SetUp { request, what, .. }) = self.set_ups[hand] else { return };
-        let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
-        if answered || !self.sources[hand].is_link() {
+        if self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request) {
             self.set_ups[hand] = None;
-            if !answered || what == Wanted::Classify {
-                return;
+            if what == Wanted::Thresholds {
+                self.want(hand, Wanted::Classify);
             }
-            self.want(hand, Wanted::Classify);
         }
         let Some(set_up) = &mut self.set_ups[hand] else { return };
         if set_up.sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {

@@ -19,3 +19,4 @@ pub mod safety;
 pub mod session;
 pub mod source;
 pub mod tilt;
+pub mod worn;

@@ -159,6 +159,9 @@ pub struct Snapshot {
     pub time_ms: u64,
     /// State of the safety machine; `stopped` until the operator's stop is released.
     pub safety: State,
+    /// Whether the right hand drives the base, because there is no left hand.
+    /// The tilt is then that of the right hand.
+    pub one_handed: bool,
     /// Base and tilt.
     pub left: LeftSnapshot,
     /// Gestures.
@@ -191,7 +194,7 @@ pub struct Snapshot {
     pub objects: Vec<SceneObject>,
     /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
-    /// Whether the left hand is lent to the arm.
+    /// Whether the hand that drives is lent to the arm.
     /// The hand then moves the tool while armed, and the base stands still.
     pub jogging: bool,
     /// The reason why the tool does not follow the hand, or `None`.
@@ -269,8 +272,10 @@ impl Snapshot {
     pub fn of(now: &Now<'_>) -> Self {
         let Now { time_ms, bridge, robot } = *now;
         let (left, picture) = (bridge.left_state(), robot.picture());
+        let hand_is_there = |hand| hand == Hand::Right || !bridge.is_one_handed();
         let link = |hand, health| LinkSnapshot {
-            connected: bridge.safety().connected(hand),
+            // In one-handed mode, the safety machine's left hand is the right one.
+            connected: bridge.safety().connected(hand) && hand_is_there(hand),
             live: bridge.safety().live(hand),
             age_ms: bridge.safety().age_ms(hand, time_ms),
             round_trip_ms: bridge.link(hand).round_trip_ms(),
@@ -281,6 +286,7 @@ impl Snapshot {
         Snapshot {
             time_ms,
             safety: bridge.safety().state(),
+            one_handed: bridge.is_one_handed(),
             left: LeftSnapshot {
                 link: link(Hand::Left, left.health),
                 pitch_rad: f64::from(left.pitch_mrad) / 1000.0,

@@ -6,6 +6,7 @@
 //! Silence, late states, neutral, stops and the clutch therefore work as with two hands.
 //!
 //! **Axes.** The heading does not depend on the kind of board, but on how the wearer mounts it.
+//! [`crate::worn`] determines the axes from three poses.
 //! By default, the board lies flat with its components up, +x points to the fingers, and +y points to the left.
 //! The simulated wearers of `models` use the same axes.
 //! An axis that points up reads +1 g.
@@ -21,7 +22,7 @@ use crate::tilt::Tilt;
 pub const SINCE_MINOR: u8 = 6;
 
 /// Mean accelerations outside this range (0.75 g to 1.3 g) say nothing about the tilt. Unit: mm/s².
-const GRAVITY_MM_S2: std::ops::RangeInclusive<f64> = 7355.0..=12_749.0;
+pub(crate) const GRAVITY_MM_S2: std::ops::RangeInclusive<f64> = 7355.0..=12_749.0;
 
 /// The mean acceleration of a hop, with the time of the state of the same hop.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,17 @@ pub struct TiltReport {
 /// A command must last for this many further hops (400 ms) before the base follows it.
 /// The first stroke of a gesture looks like a tilt, and the scores follow the hand only after a while.
 const CONFIRMING_HOPS: u8 = 5;
+
+/// Maximum tilt of the wearer's neutral pose: 30°.
+pub(crate) const NEUTRAL_MAX_MRAD: u16 = 524;
+
+/// The mean acceleration of a driving hand changes by at most this much from one hop to the next, about 0.1 g.
+/// A hand that turns at 70°/s changes it by as much.
+const MOVING_MM_S2: f64 = 1000.0;
+
+/// The acceleration of a wearer who walks changes more.
+/// While this wearer drives, it may change by this multiple of its largest change before the base followed.
+const RESTLESS: f64 = 2.0;
 
 /// A direction of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,7 +75,7 @@ pub enum Axis {
 
 impl Axis {
     /// Returns the number of the axis (x = 0), and whether the direction is against it.
-    fn parts(self) -> (usize, bool) {
+    pub(crate) fn parts(self) -> (usize, bool) {
         match self {
             Axis::PlusX => (0, false),
             Axis::MinusX => (0, true),
@@ -72,6 +84,35 @@ impl Axis {
             Axis::PlusZ => (2, false),
             Axis::MinusZ => (2, true),
         }
+    }
+
+    /// Returns the name as in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Axis::PlusX => "+x",
+            Axis::MinusX => "-x",
+            Axis::PlusY => "+y",
+            Axis::MinusY => "-y",
+            Axis::PlusZ => "+z",
+            Axis::MinusZ => "-z",
+        }
+    }
+
+    /// Returns the unit vector of this direction.
+    pub(crate) fn direction(self) -> [f64; 3] {
+        let (axis, is_against) = self.parts();
+        let mut direction = [0.0; 3];
+        direction[axis] = if is_against { -1.0 } else { 1.0 };
+        direction
+    }
+
+    /// Returns the direction that is nearest to this vector.
+    pub(crate) fn nearest(to: [f64; 3]) -> Self {
+        let along = |axis: &Self| axis.direction().iter().zip(to).map(|(a, b)| a * b).sum::<f64>();
+        let better = |best: Self, axis: Self| if along(&axis) > along(&best) { axis } else { best };
+        [Axis::MinusX, Axis::PlusY, Axis::MinusY, Axis::PlusZ, Axis::MinusZ]
+            .into_iter()
+            .fold(Axis::PlusX, better)
     }
 
     fn of(self, values: [i16; 3]) -> i16 {
@@ -113,7 +154,7 @@ impl OneHanded {
     pub fn is_sound(&self) -> bool {
         let mut axes = [self.forward, self.left, self.up].map(|axis| axis.parts().0);
         axes.sort_unstable();
-        let near = |mrad: i16| mrad.unsigned_abs() <= 524;
+        let near = |mrad: i16| mrad.unsigned_abs() <= NEUTRAL_MAX_MRAD;
         axes == [0, 1, 2] && near(self.neutral_pitch_mrad) && near(self.neutral_roll_mrad)
     }
 }
@@ -124,15 +165,66 @@ impl Default for OneHanded {
     }
 }
 
+/// The tilt of one hop.
+#[derive(Clone, Copy, Debug)]
+struct Hop {
+    number: u16,
+    angles: Angles,
+    acceleration_mm_s2: [i16; 3],
+}
+
+impl Hop {
+    /// Returns the size of the change of the acceleration since another hop, in mm/s².
+    fn change_mm_s2(&self, since: &Self) -> f64 {
+        let pairs = self.acceleration_mm_s2.iter().zip(since.acceleration_mm_s2);
+        pairs.map(|(&now, then)| (f64::from(now) - f64::from(then)).powi(2)).sum::<f64>().sqrt()
+    }
+}
+
+/// The detector's newest heading.
+#[derive(Clone, Copy, Debug)]
+struct Found {
+    heading: Heading,
+    /// For how many further hops it has not changed.
+    hops: u8,
+    /// The largest change of the acceleration while the command waited for its confirmation, in mm/s².
+    restless_mm_s2: f64,
+}
+
+impl Found {
+    const NOTHING: Self = Found { heading: Heading::Between, hops: 0, restless_mm_s2: 0.0 };
+
+    /// Returns whether this is a command that has lasted long enough.
+    fn drives(&self) -> bool {
+        self.heading.is_command() && self.hops >= CONFIRMING_HOPS
+    }
+
+    /// Returns whether the driving hand moves more than it did when it began to drive.
+    fn is_moved(&self, change_mm_s2: f64) -> bool {
+        self.drives() && change_mm_s2 > MOVING_MM_S2.max(RESTLESS * self.restless_mm_s2)
+    }
+
+    /// Adds the heading of one hop.
+    fn see(&mut self, heading: Heading, change_mm_s2: f64) {
+        if heading != self.heading {
+            *self = Found { heading, ..Found::NOTHING };
+            return;
+        }
+        if !self.drives() {
+            self.restless_mm_s2 = self.restless_mm_s2.max(change_mm_s2);
+        }
+        self.hops = self.hops.saturating_add(1);
+    }
+}
+
 /// The right hand as a left hand.
 #[derive(Clone, Debug)]
 pub(crate) struct TiltHand {
     rules: OneHanded,
     detector: TiltDetector,
-    /// Number and tilt of the newest hop.
-    newest: Option<(u16, Angles)>,
-    /// The detector's newest heading, and for how many hops it has not changed.
-    found: (Heading, u8),
+    /// The newest hop.
+    newest: Option<Hop>,
+    found: Found,
     /// Whether this board cannot drive. Nothing moves until another one starts.
     pub is_refused: bool,
 }
@@ -143,7 +235,7 @@ impl TiltHand {
             rules,
             detector: TiltDetector::new(thresholds),
             newest: None,
-            found: (Heading::Between, 0),
+            found: Found::NOTHING,
             is_refused: false,
         }
     }
@@ -154,7 +246,10 @@ impl TiltHand {
     }
 
     /// Adds a hop. While the hand draws, it gives no command, and must be neutral before it drives again.
-    pub fn step(&mut self, hop: u16, acceleration_mm_s2: [i16; 3], draws: bool) -> (Heading, Tilt) {
+    ///
+    /// A driving hand is still. The scores need up to a second to show that a hand draws.
+    /// A sudden movement of a driving hand therefore counts as the beginning of a gesture.
+    pub fn step(&mut self, number: u16, acceleration_mm_s2: [i16; 3], draws: bool) -> (Heading, Tilt) {
         let OneHanded { forward, left, up, neutral_pitch_mrad, neutral_roll_mrad, .. } = self.rules;
         // The code of the left hand has x to the wrist and y to the right.
         let a = Acceleration {
@@ -167,28 +262,29 @@ impl TiltHand {
             pitch_mrad: level.pitch_mrad - neutral_pitch_mrad,
             roll_mrad: level.roll_mrad - neutral_roll_mrad,
         };
-        let before = self.newest.replace((hop, angles));
+        let hop = Hop { number, angles, acceleration_mm_s2 };
+        let before = self.newest.replace(hop).unwrap_or(hop);
+        let change_mm_s2 = hop.change_mm_s2(&before);
+        let draws = draws || self.found.is_moved(change_mm_s2);
         let size = acceleration_mm_s2.iter().map(|&a| f64::from(a).powi(2)).sum::<f64>().sqrt();
         let heading = if draws {
             self.detector.disarm();
             Heading::Between
         } else if a.z <= 0 || !GRAVITY_MM_S2.contains(&size) {
-            // A single jolt keeps the heading, and a second one ends it, as with a hand that is turned over.
+            // A single jolt starts no command, and a second one ends everything, as with a hand that is turned over.
             self.detector.turned_over()
         } else {
-            self.hop(before, hop, angles)
+            self.hop(before, hop)
         };
-        let (last, hops) = self.found;
-        self.found = (heading, if heading == last { hops.saturating_add(1) } else { 0 });
-        let waits = heading.is_command() && self.found.1 < CONFIRMING_HOPS;
+        self.found.see(heading, change_mm_s2);
+        let waits = heading.is_command() && !self.found.drives();
         let heading = if waits { Heading::Between } else { heading };
         (heading, Tilt { pitch_mrad: angles.pitch_mrad, roll_mrad: angles.roll_mrad })
     }
 
     /// The detector's times are counted in samples, so the tilts between two hops are interpolated.
-    fn hop(&mut self, before: Option<(u16, Angles)>, hop: u16, angles: Angles) -> Heading {
-        let (last, from) = before.unwrap_or((hop, angles));
-        if hop.wrapping_sub(last) != 1 {
+    fn hop(&mut self, before: Hop, hop: Hop) -> Heading {
+        if hop.number.wrapping_sub(before.number) != 1 {
             // Whatever happened meanwhile, no command starts because of it.
             self.detector.hold();
         }
@@ -198,8 +294,8 @@ impl TiltHand {
         };
         (1..=HOP).fold(Heading::Between, |_, part| {
             self.detector.step(Angles {
-                pitch_mrad: between(from.pitch_mrad, angles.pitch_mrad, part),
-                roll_mrad: between(from.roll_mrad, angles.roll_mrad, part),
+                pitch_mrad: between(before.angles.pitch_mrad, hop.angles.pitch_mrad, part),
+                roll_mrad: between(before.angles.roll_mrad, hop.angles.roll_mrad, part),
             })
         })
     }
@@ -244,6 +340,7 @@ mod tests {
             assert_eq!(rig.run(tilted(pitch, roll), 20), Heading::Between, "before neutral");
             assert_eq!(rig.run(tilted(0.0, 0.0), 2), Heading::Neutral);
             assert_eq!(rig.run(tilted(pitch, roll), 10), heading);
+            assert_eq!(rig.run(tilted(0.0, 0.0), 1), Heading::Between, "back by 25° in a hop is sudden");
             assert_eq!(rig.run(tilted(0.0, 0.0), 1), Heading::Neutral);
         }
     }
@@ -293,6 +390,40 @@ mod tests {
     }
 
     #[test]
+    fn a_sudden_movement_of_a_driving_hand_brakes_at_its_first_hop_and_needs_neutral_afterwards() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+        let [x, y, z] = tilted(25.0, 0.0);
+        assert_eq!(rig.run([x, y + 990, z], 1), Heading::Forward);
+        assert_eq!(rig.run([x, y, z], 1), Heading::Forward);
+        assert_eq!(rig.run([x, y + 1010, z], 1), Heading::Between);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 50), Heading::Between);
+        rig.run(tilted(0.0, 0.0), 2);
+        assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
+    }
+
+    #[test]
+    fn a_driving_hand_may_turn_slowly_and_a_restless_one_may_move_on_as_before() {
+        let mut rig = Rig::new(OneHanded::OFF);
+        rig.run(tilted(0.0, 0.0), 2);
+        rig.run(tilted(20.0, 0.0), 10);
+        // 50°/s.
+        for pitch in [24.0, 28.0, 32.0, 36.0, 40.0] {
+            assert_eq!(rig.run(tilted(pitch, 0.0), 1), Heading::Forward);
+        }
+        // The acceleration of a wearer who walks changes by 1.6 m/s² from hop to hop.
+        rig.run(tilted(0.0, 0.0), 2);
+        let [x, y, z] = tilted(25.0, 0.0);
+        let walk = |rig: &mut Rig, hops: i16| {
+            (0..hops).fold(Heading::Between, |_, hop| rig.run([x, y, z + 800 * (hop % 2 * 2 - 1)], 1))
+        };
+        assert_eq!(walk(&mut rig, 10), Heading::Forward);
+        assert_eq!(walk(&mut rig, 40), Heading::Forward);
+        assert_eq!(rig.run([x, y + 4000, z], 1), Heading::Between, "it draws");
+    }
+
+    #[test]
     fn accelerations_that_are_no_gravity_end_a_command_and_start_none() {
         for wrong in [[0, 0, 15_000], [0, 0, 4000], [-9000, 0, 13_000], [0, 0, -9807], [i16::MIN; 3], [0; 3]]
         {
@@ -301,7 +432,6 @@ mod tests {
             assert!(!rig.run(wrong, 20).is_command(), "{wrong:?}");
             rig.run(tilted(0.0, 0.0), 2);
             assert_eq!(rig.run(tilted(25.0, 0.0), 10), Heading::Forward);
-            assert_eq!(rig.run(wrong, 1), Heading::Forward, "a jolt");
             assert_eq!(rig.run(wrong, 1), Heading::Between, "{wrong:?}");
             assert_eq!(rig.run(tilted(25.0, 0.0), 20), Heading::Between);
         }

@@ -60,7 +60,10 @@ impl Diagnostics {
         }
         self.due = false;
         self.published_ms = Some(now_ms);
-        let mut status = vec![self.bridge(bridge), self.left(bridge), self.right(bridge)];
+        let mut status = vec![self.bridge(bridge)];
+        // In one-handed mode, there is no left hand.
+        status.extend((!bridge.is_one_handed()).then(|| self.left(bridge)));
+        status.push(self.right(bridge));
         status.extend(self.gesture());
         for part in &mut status {
             part.name = format!("{node}: {}", part.name);
@@ -103,13 +106,7 @@ impl Diagnostics {
 
     fn left(&self, bridge: &Bridge) -> DiagnosticStatus {
         let (level, message) = health(bridge, Hand::Left);
-        let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
-        let values = vec![
-            value("heading", heading.name()),
-            value("pitch_mrad", pitch_mrad),
-            value("roll_mrad", roll_mrad),
-        ];
-        part("left hand", level, message, &self.hardware.left, values)
+        part("left hand", level, message, &self.hardware.left, tilt(bridge))
     }
 
     fn right(&self, bridge: &Bridge) -> DiagnosticStatus {
@@ -118,6 +115,9 @@ impl Diagnostics {
         let mut values: Vec<_> = scores.map(|(label, score)| value(label, format!("{score:.3}"))).collect();
         let battery_mv = bridge.link(Hand::Right).battery_mv();
         let battery = battery_mv.map(|mv| format!("{:.2}", f64::from(mv) / 1000.0));
+        if bridge.is_one_handed() {
+            values.extend(tilt(bridge));
+        }
         values.push(value("battery_v", battery.unwrap_or_else(|| "unknown".to_owned())));
         part("right hand", level, message, &self.hardware.right, values)
     }
@@ -132,6 +132,12 @@ impl Diagnostics {
         ];
         Some(part("gesture", DiagnosticStatus::OK, label, "", values))
     }
+}
+
+/// Returns the tilt of the hand that drives.
+fn tilt(bridge: &Bridge) -> Vec<KeyValue> {
+    let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
+    vec![value("heading", heading.name()), value("pitch_mrad", pitch_mrad), value("roll_mrad", roll_mrad)]
 }
 
 fn health(bridge: &Bridge, hand: Hand) -> (u8, &'static str) {
@@ -162,7 +168,18 @@ mod tests {
     use super::*;
     use host_core::bridge::GestureOutcome;
     use host_core::intent::MotionMap;
+    use host_core::one_handed::OneHanded;
     use host_robot::MotionName;
+
+    #[test]
+    fn in_one_handed_mode_the_right_hand_has_the_tilt_and_there_is_no_left_one() {
+        let rules = OneHanded { on: true, ..OneHanded::OFF };
+        let bridge = Bridge::new(MotionMap::default()).one_handed(rules, Default::default());
+        let message = Diagnostics::default().take("bimanual", &bridge, 0, Time::default()).unwrap();
+        let names: Vec<&str> = message.status.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["bimanual: bridge", "bimanual: right hand"]);
+        assert!(message.status[1].values.iter().any(|v| v.key == "heading" && v.value == "neutral"));
+    }
 
     #[test]
     fn events_are_published_at_once_and_a_quiet_bridge_once_a_second() {

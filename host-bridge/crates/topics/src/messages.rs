@@ -321,17 +321,17 @@ impl Origin {
 fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     let header = header.clone();
     let (hand, confidence, age_ms, [linear_m_s, angular_rad_s], name, outcome) = match kind {
-        EventKind::Heading { heading, twist, age_ms, .. } => {
+        EventKind::Heading { hand, heading, twist, age_ms, .. } => {
             let speed = [twist.linear_m_s, twist.angular_rad_s];
-            ("left", 1.0, *age_ms, speed, heading.name(), "drive".to_owned())
+            (*hand, 1.0, *age_ms, speed, heading.name(), "drive".to_owned())
         }
-        EventKind::Caps { cap, .. } => ("left", 1.0, 0, [*cap, *cap], "cap", "cap".to_owned()),
+        EventKind::Caps { cap, .. } => (Hand::Left, 1.0, 0, [*cap, *cap], "cap", "cap".to_owned()),
         EventKind::Gesture { label, confidence, age_ms, outcome, .. } => {
-            ("right", *confidence, *age_ms, [0.0; 2], label.as_str(), plain(outcome))
+            (Hand::Right, *confidence, *age_ms, [0.0; 2], label.as_str(), plain(outcome))
         }
         _ => return None,
     };
-    let (hand, name) = (hand.to_owned(), name.to_owned());
+    let (hand, name) = (hand.to_string(), name.to_owned());
     Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
 }
 

@@ -148,11 +148,17 @@ impl View {
         let time_s = snapshot.time_ms as f64 / 1000.0;
         lines.push((state_colour, format!("{time_s:>7.1} s {}{state}", scene.pace)));
         let left = &snapshot.left;
+        // In one-handed mode, this line shows the right hand's tilt.
+        let (driving, of, link) = if snapshot.one_handed {
+            ("right", "tilt", &snapshot.right.link)
+        } else {
+            ("left", "left", &left.link)
+        };
         lines.push((
             Color::White,
             format!(
-                "left   {:<13} pitch {:>4.0}°  roll {:>4.0}°  {:<9} cap {:.2}",
-                live(&left.link),
+                "{of}   {:<13} pitch {:>4.0}°  roll {:>4.0}°  {:<9} cap {:.2}",
+                live(link),
                 left.pitch_rad.to_degrees(),
                 left.roll_rad.to_degrees(),
                 left.heading.name(),
@@ -180,7 +186,7 @@ impl View {
             Some((motion, Leg::Planning)) => format!("{motion}: planning"),
             Some((motion, Leg::ToHome)) => format!("{motion}: home first"),
             Some((motion, Leg::ToGoal)) => format!("{motion}: to the pose"),
-            Some((_, Leg::Jogging)) => "moved by the left hand".to_owned(),
+            Some((_, Leg::Jogging)) => format!("moved by the {driving} hand"),
             Some((motion, Leg::Halting)) => format!("{motion}: halting"),
             None => "at rest".to_owned(),
         };
@@ -199,7 +205,10 @@ impl View {
         ));
         if snapshot.jogging {
             let held = snapshot.jog_held.as_ref().map(|why| format!("; held: {why}")).unwrap_or_default();
-            lines.push((Color::Yellow, format!("JOG    the left hand moves the tool, not the base{held}")));
+            lines.push((
+                Color::Yellow,
+                format!("JOG    the {driving} hand moves the tool, not the base{held}"),
+            ));
         }
         if let Some(reason) = &snapshot.refusal {
             lines.push((Color::Red, format!("robot  {reason}")));

@@ -5,7 +5,7 @@ use shared_proto::message::{LeftState, health};
 
 use super::judged::command;
 use super::{Bridge, EventKind};
-use crate::safety::{self, Hand, State};
+use crate::safety::{self, State};
 use crate::tilt::Tilt;
 
 impl Bridge {
@@ -28,10 +28,10 @@ impl Bridge {
         robot: &mut dyn Door,
     ) {
         let before = command(self.safety.heading());
-        let sender = if self.is_one_handed() { Hand::Right } else { Hand::Left };
+        let hand = self.driving_hand();
         let event = safety::Event::Left {
             age_ms,
-            prompt: self.links[sender].is_prompt(self.safety.times().prompt_ms(), now_ms),
+            prompt: self.links[hand].is_prompt(self.safety.times().prompt_ms(), now_ms),
             healthy: health::is_fit(state.health),
             heading: state.heading,
             tilt: Tilt { pitch_mrad: state.pitch_mrad, roll_mrad: state.roll_mrad },
@@ -45,6 +45,7 @@ impl Bridge {
         // A halt is reported as a separate event.
         if self.safety.state() == State::Armed && command(heading) != before {
             let event = EventKind::Heading {
+                hand,
                 heading,
                 twist: self.twist(),
                 sample_board_ms: state.board_time_ms,

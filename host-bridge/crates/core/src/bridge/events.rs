@@ -71,8 +71,10 @@ pub enum EventKind {
     },
     /// The operator's stop ended.
     Released,
-    /// The heading of the left hand changed.
+    /// The heading of the hand that drives changed.
     Heading {
+        /// The left hand, or in one-handed mode the right one.
+        hand: Hand,
         /// Where.
         heading: Heading,
         /// The resulting speed of the base.
@@ -148,8 +150,10 @@ pub enum EventKind {
     RobotReady,
     /// A key ended only the arm's motion.
     ArmEnded,
-    /// The left hand is lent to the arm, or returned to the base.
+    /// The hand that drives is lent to the arm, or returned to the base.
     Jogging {
+        /// The left hand, or in one-handed mode the right one.
+        hand: Hand,
         /// It is lent.
         lent: bool,
     },
@@ -184,9 +188,9 @@ pub enum GestureOutcome {
     Refused(MotionName),
     /// Only the arm's motion is ended.
     EndedArm,
-    /// The left hand is lent to the arm; both hands must be neutral before the arm moves.
+    /// The hand that drives is lent to the arm; all hands must be neutral before the arm moves.
     Lent,
-    /// The hand is returned to the base; both hands must be neutral first.
+    /// The hand is returned to the base; all hands must be neutral first.
     TakenBack,
     /// The label has no motion.
     NoMotion,

@@ -437,7 +437,7 @@ impl Bridge {
                 }
                 Action::Lent(lent) => {
                     self.lift = Lift::default();
-                    self.note(now_ms, EventKind::Jogging { lent });
+                    self.note(now_ms, EventKind::Jogging { hand: self.driving_hand(), lent });
                 }
                 Action::Bends { index, middle } => self.bends(index, middle, now_ms, robot),
                 Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, now_ms, robot)),

@@ -24,6 +24,11 @@ impl Bridge {
         self.tilt_hand.is_some()
     }
 
+    /// Returns the hand whose tilt drives the base.
+    pub fn driving_hand(&self) -> Hand {
+        if self.is_one_handed() { Hand::Right } else { Hand::Left }
+    }
+
     /// A hand has started. In one-handed mode, both hands of the safety machine start with the right hand.
     pub(super) fn one_hand_started(&mut self, hand: Hand, now_ms: u64, robot: &mut dyn Door) {
         let Some(tilt_hand) = self.tilt_hand.as_mut().filter(|_| hand == Hand::Right) else { return };

@@ -201,7 +201,10 @@ export class Panels {
   showTexts(state) {
     const { left, right, arm, odometry, caps } = state;
     put($("clock"), "text", `${(state.time_ms / 1000).toFixed(1)} s`);
-    put($("heading"), "text", left.link.connected ? HEADINGS[left.heading] : "no left hand");
+    const hand = state.one_handed ? "right" : "left";
+    put($("driving"), "text", state.one_handed ? "Right hand's tilt" : "Left hand");
+    $("fingers").hidden = state.one_handed;
+    put($("heading"), "text", state[hand].link.connected ? HEADINGS[left.heading] : `no ${hand} hand`);
     const tilt = (rad, one, other) => `${Math.abs(degrees(rad)).toFixed(0)}° ${rad < 0 ? other : one}`;
     put($("tilt-text"), "text", `${tilt(left.pitch_rad, "forward", "backward")}, ${tilt(left.roll_rad, "left", "right")}`);
     put($("caps"), "text", `at most ${caps.linear_m_s.toFixed(2)} m/s, ${degrees(caps.angular_rad_s).toFixed(0)} °/s`);
@@ -217,7 +220,7 @@ export class Panels {
     const late = state.arm_age_ms > 100 ? ` (${state.arm_age_ms} ms old)` : "";
     put($("doing"), "text", heard + late);
     const where = `x ${odometry.x_m.toFixed(2)} m, y ${odometry.y_m.toFixed(2)} m, ${degrees(odometry.heading_rad).toFixed(0)}°`;
-    const jog = state.jogging && `jogging: the left hand moves the tool${state.jog_held ? ` (held: ${state.jog_held})` : ""}`;
+    const jog = state.jogging && `jogging: the ${hand} hand moves the tool${state.jog_held ? ` (held: ${state.jog_held})` : ""}`;
     const held = [jog, state.held && `held back: ${state.held}`, state.restriction].filter(Boolean).map((text) => `; ${text}`).join("");
     const known = state.base_age_ms === null ? "reports nothing" : `${where}; ${odometry.path_m.toFixed(1)} m driven`;
     put($("base-text"), "text", `base: ${known}${held}`);
