@@ -6,7 +6,7 @@ use crate::model::{JointError, SerialArm};
 use crate::motions::{MotionError, joints_of};
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
 use crate::plan::line;
-use crate::plan::polish::polish;
+use crate::plan::polish::Polish;
 use crate::plan::purse::Purse;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
@@ -26,7 +26,10 @@ pub const COMPARING_CHECKS_MAX: u64 = 18_000;
 /// This many of these checks are kept for moving the corners of the best plan.
 const POLISHING_CHECKS_MAX: u64 = 9_000;
 
-/// This many of those are kept for the final check of the rounded corners.
+/// The corners of so many plans are moved; most checks are for the best of them.
+const POLISHED: usize = 3;
+
+/// This many of the checks for the corners are kept for the final check of the rounded corners.
 const ROUNDING_CHECKS_MAX: u64 = 2_000;
 
 /// Interval at which cut corners are checked for the path of braking.
@@ -136,6 +139,8 @@ pub struct Planner {
     world: World,
     limits: JointLimits,
     goals: Vec<(String, Joints)>,
+    /// Maximum number of checks in one search. A test makes searches fail with it.
+    search_checks_max: u64,
 }
 
 impl Planner {
@@ -152,7 +157,12 @@ impl Planner {
             }
         }
         let limits = scene.limits(&arm);
-        let mut planner = Planner { world: World::new(arm, scene), limits, goals: Vec::new() };
+        let mut planner = Planner {
+            world: World::new(arm, scene),
+            limits,
+            goals: Vec::new(),
+            search_checks_max: CHECKS_MAX,
+        };
         planner.goals = planner.solve_goals()?;
         Ok(planner)
     }
@@ -161,7 +171,7 @@ impl Planner {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
         // This margin is twice the required margin, so that plans can reach the pose.
-        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
+        let safe = |joints: &Joints| around.is_clear(joints, 2.0 * scene.arm.margin_m);
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
             let joints_rad = match goal {
@@ -225,7 +235,7 @@ impl Planner {
     pub fn place(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Joints, Refusal> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.around(case);
-        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= scene.arm.margin_m;
+        let safe = |joints: &Joints| around.is_clear(joints, scene.arm.margin_m);
         Ok(ik::solve_from(case.purse, arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
     }
 
@@ -288,12 +298,11 @@ impl Planner {
             return Err(Refusal::GoalBlocked { one, two, distance_mm });
         }
         let margin_m = self.start_margin_m(around, from_rad)?;
-        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
-        let search = Search { margin_m, checks_max: CHECKS_MAX, seed };
+        let search = Search { margin_m, checks_max: self.search_checks_max, seed: self.seed(turn) };
 
         let home_rad = arm.unwound(&arm.home_rad, from_rad);
         let via_home = || -> Option<Plan> {
-            if around.arm_clearance(&home_rad).distance_m < margin_m {
+            if !around.is_clear(&home_rad, margin_m) {
                 return None;
             }
             let (there, _) = self.leg(around, from_rad, &home_rad, &search)?;
@@ -329,44 +338,62 @@ impl Planner {
         case: Case<'_>,
         turn: u64,
     ) -> Result<Plan, Refusal> {
-        let mut best = self.plan_among(from_rad, to_rad, case, turn)?;
-        let mut dearest = best.checks;
+        let first = self.plan_among(from_rad, to_rad, case, turn)?;
+        // No plan is quicker than a straight one.
+        if first.kind == Kind::Straight {
+            return Ok(first);
+        }
+        let mut dearest = first.checks;
+        let mut plans = vec![first];
         for k in 1..TRIES_MAX {
             let left = (COMPARING_CHECKS_MAX - POLISHING_CHECKS_MAX).saturating_sub(case.purse.spent());
-            // No plan is quicker than a straight one.
-            if best.kind == Kind::Straight || left < dearest {
+            if left < dearest {
                 break;
             }
             let purse = case.purse.apart(left);
             let other = self.plan_among(from_rad, to_rad, Case { purse: &purse, ..case }, turn ^ (k << 32));
             case.purse.spend(purse.spent());
             dearest = dearest.max(purse.spent());
-            if let Ok(other) = other
-                && other.trajectory.duration_s() < best.trajectory.duration_s()
-            {
-                best = other;
-            }
+            plans.extend(other);
         }
-        if best.kind == Kind::Around
-            && let Some(quicker) = self.polished(&best, case, turn)
-        {
-            (best.trajectory, best.path_rad) = quicker;
-        }
-        Ok(best)
+        plans.sort_by(|a, b| a.trajectory.duration_s().total_cmp(&b.trajectory.duration_s()));
+        let polished = self.polished(&plans, case, turn);
+        let best = plans.swap_remove(0);
+        let is_quicker = |other: &Plan| {
+            best.kind != Kind::Straight && other.trajectory.duration_s() < best.trajectory.duration_s()
+        };
+        Ok(polished.filter(is_quicker).unwrap_or(best))
     }
 
-    /// Returns a quicker motion on a changed path, if there is one.
-    fn polished(&self, plan: &Plan, case: Case<'_>, turn: u64) -> Option<(Trajectory, Vec<Joints>)> {
+    /// Moves the corners of the quickest of these plans to save time.
+    fn polished(&self, plans: &[Plan], case: Case<'_>, turn: u64) -> Option<Plan> {
         let purse = case.purse.apart(COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent()));
         let around = self.around(Case { purse: &purse, ..case });
-        let margin_m = self.start_margin_m(&around, &plan.path_rad[0]).ok()?;
-        let checks_max = purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
-        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
-        let search = Search { margin_m, checks_max, seed };
-        let path_rad = polish(&around, &plan.path_rad, &self.limits, &search, CHOICE_CORNERS_MAX);
+        let direct = || plans.iter().filter(|plan| plan.kind == Kind::Around);
+        let margin_m = self.start_margin_m(&around, &direct().next()?.path_rad[0]).ok()?;
+        let polish = |plan: &Plan| {
+            let seed = self.seed(turn);
+            let path_rad = plan.path_rad.clone();
+            Polish::new(&around, path_rad, &self.limits, margin_m, seed, CHOICE_CORNERS_MAX)
+        };
+        let mut tried: Vec<Polish<'_>> = direct().take(POLISHED).map(polish).collect();
+        // After half of the checks, only the best path remains.
+        let left = || purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
+        let each = left() / (2 * POLISHED as u64);
+        for polish in &mut tried {
+            polish.improve(each);
+        }
+        let mut best = tried.into_iter().min_by(|a, b| a.time_s().total_cmp(&b.time_s()))?;
+        best.improve(left());
+        let path_rad = best.into_path_rad();
         let trajectory = self.quickest(&around, &path_rad, margin_m);
         case.purse.spend(purse.spent());
-        (trajectory.duration_s() < plan.trajectory.duration_s()).then_some((trajectory, path_rad))
+        Some(Plan { trajectory, path_rad, kind: Kind::Around, home_s: None, checks: purse.spent() })
+    }
+
+    /// Equal turns have equal seeds.
+    fn seed(&self, turn: u64) -> u64 {
+        Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits()
     }
 
     /// Returns a path from rest to rest, straight or around obstacles.
