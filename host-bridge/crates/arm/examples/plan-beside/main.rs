@@ -92,7 +92,7 @@ impl Place {
                 values(&low),
                 values(&high),
                 (0..COUNT).map(|i| world.arm().joints[i].limit_rad.is_none()).collect::<Vec<_>>(),
-                self.planners.iter().map(|planner| least_s(planner.limits(), from, to)).collect::<Vec<_>>(),
+                self.planners.iter().map(|planner| planner.least_s(from, to)).collect::<Vec<_>>(),
             )
         };
         let pairs: Vec<String> = self.pairs.iter().map(pair).collect();
@@ -138,16 +138,6 @@ impl Place {
         answer.push(nearest_m.fold(f64::INFINITY, f64::min));
         answer
     }
-}
-
-/// No motion takes less time, whatever its path: the time that the slowest joint needs if it moves alone.
-fn least_s(limits: &JointLimits, from: &Joints, to: &Joints) -> f64 {
-    let alone_s = |i: usize| {
-        let mut moved = *from;
-        moved[i] = to[i];
-        Trajectory::through(&[*from, moved], &[], limits).duration_s()
-    };
-    (0..COUNT).map(alone_s).fold(0.0, f64::max)
 }
 
 /// On a straight path, the least time is known: both ways of timing must agree.

@@ -333,11 +333,11 @@ impl<'w> Surroundings<'w> {
         self.checks.get()
     }
 
-    /// Counts a check, and pays for it.
-    pub(super) fn count(&self) {
-        self.checks.set(self.checks.get() + 1);
+    /// Counts checks, and pays for them.
+    pub(super) fn pay(&self, checks: u64) {
+        self.checks.set(self.checks.get() + checks);
         if let Some(purse) = self.purse {
-            purse.spend(1);
+            purse.spend(checks);
         }
     }
 
@@ -351,7 +351,7 @@ impl<'w> Surroundings<'w> {
     /// The first is to the robot itself and the floor, and is independent of the base.
     /// The second is to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
-        self.count();
+        self.pay(1);
         let world = self.world;
         let poses = world.arm.link_poses(joints_rad);
         let shapes = world.shapes(&poses, &self.on_flange);

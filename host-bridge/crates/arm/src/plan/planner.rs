@@ -11,7 +11,7 @@ use crate::plan::purse::Purse;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
 use crate::things::Things;
-use host_robot::{JointLimits, Joints, Pose, Random, Trajectory};
+use host_robot::{JOINTS, JointLimits, Joints, Pose, Random, Trajectory};
 
 /// Maximum number of checks in one search.
 const CHECKS_MAX: u64 = 30_000;
@@ -31,6 +31,9 @@ const POLISHED: usize = 3;
 
 /// This many of the checks for the corners are kept for the final check of the rounded corners.
 const ROUNDING_CHECKS_MAX: u64 = 2_000;
+
+/// A motion that takes at most this many times the least time of any motion is not improved any more.
+const GOOD: f64 = 1.005;
 
 /// Interval at which cut corners are checked for the path of braking.
 const BRAKING_INTERVAL_S: f64 = 0.05;
@@ -343,6 +346,7 @@ impl Planner {
         if first.kind == Kind::Straight {
             return Ok(first);
         }
+        let good_s = GOOD * self.least_s(from_rad, to_rad);
         let mut dearest = first.checks;
         let mut plans = vec![first];
         for k in 1..TRIES_MAX {
@@ -355,9 +359,12 @@ impl Planner {
             case.purse.spend(purse.spent());
             dearest = dearest.max(purse.spent());
             plans.extend(other);
+            if plans.last().is_some_and(|plan| plan.trajectory.duration_s() <= good_s) {
+                break;
+            }
         }
         plans.sort_by(|a, b| a.trajectory.duration_s().total_cmp(&b.trajectory.duration_s()));
-        let polished = self.polished(&plans, case, turn);
+        let polished = self.polished(&plans, good_s, case, turn);
         let best = plans.swap_remove(0);
         let is_quicker = |other: &Plan| {
             best.kind != Kind::Straight && other.trajectory.duration_s() < best.trajectory.duration_s()
@@ -366,7 +373,7 @@ impl Planner {
     }
 
     /// Moves the corners of the quickest of these plans to save time.
-    fn polished(&self, plans: &[Plan], case: Case<'_>, turn: u64) -> Option<Plan> {
+    fn polished(&self, plans: &[Plan], good_s: f64, case: Case<'_>, turn: u64) -> Option<Plan> {
         let purse = case.purse.apart(COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent()));
         let around = self.around(Case { purse: &purse, ..case });
         let direct = || plans.iter().filter(|plan| plan.kind == Kind::Around);
@@ -381,14 +388,25 @@ impl Planner {
         let left = || purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
         let each = left() / (2 * POLISHED as u64);
         for polish in &mut tried {
-            polish.improve(each);
+            polish.improve(each, good_s);
         }
         let mut best = tried.into_iter().min_by(|a, b| a.time_s().total_cmp(&b.time_s()))?;
-        best.improve(left());
+        best.improve(left(), good_s);
         let path_rad = best.into_path_rad();
         let trajectory = self.quickest(&around, &path_rad, margin_m);
         case.purse.spend(purse.spent());
         Some(Plan { trajectory, path_rad, kind: Kind::Around, home_s: None, checks: purse.spent() })
+    }
+
+    /// Returns the time in s that the slowest joint needs if it moves alone. No motion takes less, whatever its path.
+    pub fn least_s(&self, from_rad: &Joints, to_rad: &Joints) -> f64 {
+        let to_rad = self.world.arm().unwound(to_rad, from_rad);
+        let alone_s = |i: usize| {
+            let mut moved_rad = *from_rad;
+            moved_rad[i] = to_rad[i];
+            Trajectory::through(&[*from_rad, moved_rad], &[], &self.limits).duration_s()
+        };
+        (0..JOINTS).map(alone_s).fold(0.0, f64::max)
     }
 
     /// Equal turns have equal seeds.
@@ -449,5 +467,57 @@ impl Planner {
                     })
             })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gen3::HOME;
+
+    /// A post stands before the arm. On both sides of it, the arm reaches out further than to the post.
+    const POST: &str = "[[box]]\nname = \"post\"\ncenter_m = [0.8, 0.0, 0.65]\nsize_m = [0.06, 0.06, 1.3]";
+
+    fn beside_the_post() -> (Joints, Joints) {
+        let at = |turn_rad: f64| host_robot::joints([turn_rad, 1.1, HOME[2], -0.9, 0.0, -0.4, HOME[6]]);
+        (at(-0.5), at(0.5))
+    }
+
+    #[test]
+    fn where_no_direct_way_is_found_the_arm_goes_by_way_of_home() {
+        let mut planner = Planner::new(SerialArm::gen3(), Scene::parse(POST).unwrap()).unwrap();
+        let (from, to) = beside_the_post();
+        let plan = |planner: &Planner| planner.plan(&from, &to, Placement::default(), 1).unwrap();
+        assert_eq!(plan(&planner).kind, Kind::Around);
+        // A search without checks finds nothing, so only straight ways remain.
+        planner.search_checks_max = 0;
+        let plan = plan(&planner);
+        assert_eq!(plan.kind, Kind::ViaHome);
+        assert_eq!(plan.path_rad, [from, HOME, to]);
+        let home_s = plan.home_s.unwrap();
+        let at_home = plan.trajectory.motion(home_s);
+        assert_eq!((at_home.joints_rad, at_home.velocity_rad_s), (HOME, [0.0; JOINTS]));
+        assert!(home_s < plan.trajectory.duration_s());
+        let around = planner.world().around(Placement::default());
+        for k in 0..=200 {
+            let now = plan.trajectory.motion(plan.trajectory.duration_s() * f64::from(k) / 200.0);
+            assert!(around.arm_clearance(&now.joints_rad).distance_m >= 0.005);
+        }
+        // Its corner is home, and stays there.
+        let purse = Purse::default();
+        let case = Case { placement: Placement::default(), things: planner.world().start(), purse: &purse };
+        assert_eq!(planner.plan_best(&from, &to, case, 1).unwrap().path_rad, [from, HOME, to]);
+    }
+
+    #[test]
+    fn where_home_is_blocked_too_the_motion_is_refused() {
+        let blocked = format!(
+            "{POST}\n[[box]]\nname = \"crate\"\ncenter_m = [0.55, 0.0, 0.9]\nsize_m = [0.1, 0.1, 0.1]"
+        );
+        let mut planner = Planner::new(SerialArm::gen3(), Scene::parse(&blocked).unwrap()).unwrap();
+        let (from, to) = beside_the_post();
+        planner.search_checks_max = 0;
+        let refusal = planner.plan(&from, &to, Placement::default(), 1).unwrap_err();
+        assert!(matches!(refusal, Refusal::NoWay { .. }), "{refusal}");
     }
 }

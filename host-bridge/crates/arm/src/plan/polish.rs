@@ -72,11 +72,12 @@ impl<'a> Polish<'a> {
         self.time_s
     }
 
-    /// Tries to save time with at most about this many checks.
-    pub fn improve(&mut self, checks: u64) {
+    /// Tries to save time with at most about this many checks. A motion of `good_s` is good enough.
+    pub fn improve(&mut self, checks: u64, good_s: f64) {
         let stop_at = self.around.checks() + checks;
         for _ in 0..TRIES_MAX {
-            if self.path_rad.len() < 3 || self.around.checks() >= stop_at || self.around.is_spent() {
+            let is_done = self.path_rad.len() < 3 || self.time_s <= good_s;
+            if is_done || self.around.checks() >= stop_at || self.around.is_spent() {
                 break;
             }
             let candidate = self.candidate();

@@ -109,7 +109,7 @@ impl Surroundings<'_> {
 
     /// Checks a configuration and the stretch around it, on which the joints turn by at most `turns_rad` to each side.
     fn look(&self, joints_rad: &Joints, turns_rad: &Joints, margin_m: f64) -> Found {
-        self.count();
+        self.pay(1);
         let world = self.world();
         let poses = world.arm().link_poses(joints_rad);
         let shapes = world.shapes(&poses, &self.on_flange);
@@ -195,5 +195,91 @@ impl Look {
         }
         self.is_open = true;
         distance_m >= self.margin_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::SerialArm;
+    use crate::plan::collision::{Placement, World};
+    use crate::scene::Scene;
+    use host_robot::{DMat3, DVec3, Random};
+
+    /// The capsule ends of a link, seen from another link's frame.
+    fn ends_m(world: &World, joints_rad: &Joints, link: usize, from: Option<usize>) -> Vec<DVec3> {
+        let poses = world.arm().link_poses(joints_rad);
+        let shapes = world.shapes(&poses, &world.on_flange(world.start()));
+        let seen = |point: DVec3| match from {
+            None => point,
+            Some(joint) => poses[joint].rotation.transpose() * (point - poses[joint].position_m),
+        };
+        shapes.of(link).iter().flat_map(|shape| [seen(shape.capsule.a_m), seen(shape.capsule.b_m)]).collect()
+    }
+
+    #[test]
+    fn no_part_moves_further_than_is_said_neither_in_the_room_nor_seen_from_another_link() {
+        let mut sliding = SerialArm::gen3();
+        let third = &mut sliding.joints[2];
+        (third.slides, third.limit_rad, third.origin_rotation) = (true, Some((-0.3, 0.3)), DMat3::IDENTITY);
+        for arm in [SerialArm::gen3(), sliding] {
+            let scene =
+                Scene::parse("[[tool]]\nname = \"2f-85\"\n[[tool]]\nname = \"gen3-vision\"\n").unwrap();
+            let world = World::new(arm, scene);
+            let around = world.around(Placement::default());
+            let count = world.arm().joints.len();
+            let (mut random, mut used) = (Random::new(5), 0.0_f64);
+            for _ in 0..300 {
+                let turns_rad: Joints = std::array::from_fn(|_| random.between(0.0, 0.4).powi(2));
+                let middle: Joints = std::array::from_fn(|i| {
+                    let (low, high) =
+                        world.arm().joints.get(i).and_then(|j| j.limit_rad).unwrap_or((-3.0, 3.0));
+                    random.between(low, high)
+                });
+                let poses = world.arm().link_poses(&middle);
+                let shapes = world.shapes(&poses, &around.on_flange);
+                let moves = Moves::new(&around, &poses, &shapes, &turns_rad);
+                // The ends of the turns move points furthest.
+                let moved: Joints = std::array::from_fn(|i| {
+                    middle[i] + turns_rad[i] * [-1.0, 1.0, random.between(-1.0, 1.0)][random.below(3)]
+                });
+                for two in 1..count + 3 {
+                    for one in 0..two.min(count) {
+                        let from = one.checked_sub(1);
+                        let said_m = moves.between_m(one, two);
+                        let (here, there) =
+                            (ends_m(&world, &middle, two, from), ends_m(&world, &moved, two, from));
+                        for (a, b) in here.iter().zip(&there) {
+                            assert!(
+                                a.distance(*b) <= said_m + 1e-12,
+                                "{one} {two}: {} {said_m}",
+                                a.distance(*b)
+                            );
+                            used = used.max(a.distance(*b) / said_m.max(1e-9));
+                        }
+                    }
+                    assert_eq!(moves.of_m(two), moves.between_m(0, two));
+                }
+            }
+            // The bound is not loose, so a bound that is too small would be noticed.
+            println!("a point moves {:.0} % of what is said, at most", 100.0 * used);
+            assert!(used > 0.9, "{used}");
+        }
+    }
+
+    #[test]
+    fn a_configuration_is_clear_exactly_if_its_clearance_is_the_margin() {
+        let scene = "[[box]]\nname = \"post\"\ncenter_m = [0.55, 0.0, 0.8]\nsize_m = [0.1, 0.1, 0.8]";
+        let world = World::new(SerialArm::gen3(), Scene::parse(scene).unwrap());
+        let around = world.around(Placement::default());
+        let (mut random, mut clear) = (Random::new(9), 0);
+        for _ in 0..2000 {
+            let joints_rad: Joints = std::array::from_fn(|_| random.between(-2.0, 2.0));
+            let margin_m = random.between(0.001, 0.2);
+            let is_clear = around.is_clear(&joints_rad, margin_m);
+            assert_eq!(is_clear, around.arm_clearance(&joints_rad).distance_m >= margin_m);
+            clear += usize::from(is_clear);
+        }
+        assert!((200..1800).contains(&clear), "{clear}");
     }
 }
