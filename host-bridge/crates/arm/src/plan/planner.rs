@@ -390,11 +390,24 @@ impl Planner {
         for polish in &mut tried {
             polish.improve(each, good_s);
         }
-        let mut best = tried.into_iter().min_by(|a, b| a.time_s().total_cmp(&b.time_s()))?;
-        best.improve(left(), good_s);
-        let path_rad = best.into_path_rad();
-        let trajectory = self.quickest(&around, &path_rad, margin_m);
+        tried.sort_by(|a, b| a.time_s().total_cmp(&b.time_s()));
+        if let Some(best) = tried.first_mut() {
+            best.improve(left(), good_s);
+        }
+        // A path on which the arm would have to stop may be slower than the next one.
+        let mut best: Option<(Trajectory, Vec<Joints>)> = None;
+        for path in tried {
+            let least_s = best.as_ref().map_or(f64::INFINITY, |(motion, _)| motion.duration_s());
+            if path.time_s() < least_s {
+                let path_rad = path.into_path_rad();
+                let motion = self.quickest(&around, &path_rad, margin_m);
+                if motion.duration_s() < least_s {
+                    best = Some((motion, path_rad));
+                }
+            }
+        }
         case.purse.spend(purse.spent());
+        let (trajectory, path_rad) = best?;
         Some(Plan { trajectory, path_rad, kind: Kind::Around, home_s: None, checks: purse.spent() })
     }
 

@@ -11,7 +11,7 @@ use std::ops::Range;
 const TRIES_MAX: usize = 6000;
 /// A candidate must be quicker by this share, because its check costs time.
 const WORTH: f64 = 0.003;
-/// A changed corner keeps this much more distance than the path, because the motion cuts it.
+/// In the middle of a blend, a new path keeps this much more distance, because only the finished path's blends are checked.
 const ROOM_M: f64 = 0.01;
 /// Greatest and least displacement of a joint.
 const FAR_RAD: f64 = 1.0;
@@ -139,12 +139,36 @@ impl<'a> Polish<'a> {
     fn is_clear(&self, candidate: &Candidate) -> bool {
         let Candidate { path_rad, new, .. } = candidate;
         let within = |joints: &Joints| self.around.world().arm().check(joints).is_ok();
-        let has_room = |joints: &Joints| self.around.is_clear(joints, self.margin_m + ROOM_M);
-        path_rad[new.clone()].iter().all(|joints| within(joints) && has_room(joints))
+        let has_room = |corner: usize| {
+            self.around
+                .is_clear(&cut_rad(&path_rad[corner - 1..=corner + 1], self.limits), self.margin_m + ROOM_M)
+        };
+        path_rad[new.clone()].iter().all(within)
+            && new.clone().all(has_room)
             && path_rad[new.start - 1..=new.end]
                 .windows(2)
                 .all(|two| self.around.way_is_clear(&two[0], &two[1], self.margin_m))
     }
+}
+
+/// The duration of a change of speed.
+fn change_s(before: &Joints, after: &Joints, limits: &JointLimits) -> f64 {
+    let of = |i: usize| (after[i] - before[i]).abs() / limits.acceleration_rad_s2[i];
+    (0..JOINTS).map(of).fold(0.0, f64::max)
+}
+
+/// The time of a segment at the full speed of its slowest joint, and the speeds. Without a way, nothing moves.
+fn segment(from: &Joints, to: &Joints, limits: &JointLimits) -> (f64, Joints) {
+    let time_s = (0..JOINTS).map(|i| (to[i] - from[i]).abs() / limits.velocity_rad_s[i]).fold(0.0, f64::max);
+    (time_s, if time_s > 0.0 { std::array::from_fn(|i| (to[i] - from[i]) / time_s) } else { [0.0; JOINTS] })
+}
+
+/// The middle of the blend at the second of three points, at full speed.
+fn cut_rad(path_rad: &[Joints], limits: &JointLimits) -> Joints {
+    let (_, before) = segment(&path_rad[0], &path_rad[1], limits);
+    let (_, after) = segment(&path_rad[1], &path_rad[2], limits);
+    let eighth_s = 0.125 * change_s(&before, &after, limits);
+    std::array::from_fn(|i| path_rad[1][i] + eighth_s * (after[i] - before[i]))
 }
 
 /// Estimates the time of a motion through these corners without stops.
@@ -153,10 +177,6 @@ impl<'a> Polish<'a> {
 /// If they do not fit into the segment, a lower speed is assumed, with which they fit.
 fn estimated_s(path: &[Joints], limits: &JointLimits) -> f64 {
     let rest = [0.0; JOINTS];
-    let change_s = |before: &Joints, after: &Joints| {
-        let of = |i: usize| (after[i] - before[i]).abs() / limits.acceleration_rad_s2[i];
-        (0..JOINTS).map(of).fold(0.0, f64::max)
-    };
     // The previous segment's time, its speeds, and the change of speed at its start.
     let mut last = (0.0, rest, 0.0);
     let mut total_s = 0.0;
@@ -167,13 +187,11 @@ fn estimated_s(path: &[Joints], limits: &JointLimits) -> f64 {
     };
     let (mut first_s, mut last_s) = (None, 0.0);
     for two in path.windows(2) {
-        let time_s =
-            (0..JOINTS).map(|i| (two[1][i] - two[0][i]).abs() / limits.velocity_rad_s[i]).fold(0.0, f64::max);
+        let (time_s, speeds) = segment(&two[0], &two[1], limits);
         if time_s <= 0.0 {
             continue;
         }
-        let speeds = std::array::from_fn(|i| (two[1][i] - two[0][i]) / time_s);
-        let change_s = change_s(&last.1, &speeds);
+        let change_s = change_s(&last.1, &speeds, limits);
         if first_s.is_some() {
             close(last, change_s);
         }
@@ -181,7 +199,7 @@ fn estimated_s(path: &[Joints], limits: &JointLimits) -> f64 {
         last = (time_s, speeds, change_s);
     }
     if first_s.is_some() {
-        last_s = change_s(&last.1, &rest);
+        last_s = change_s(&last.1, &rest, limits);
         close(last, last_s);
     }
     // At both ends, the arm rests in half of the change of speed.
