@@ -6,7 +6,7 @@
 //!
 //! | file | columns |
 //! |---|---|
-//! | `SCENE.motions` | the scene's motions at 100 Hz, one after another: number of the motion, seven angles in rad |
+//! | `SCENE.motions` | the scene's motions at 100 Hz, one after another; every other one is the best of several plans: number of the motion, seven angles in rad |
 //! | `SCENE.tools` | with `--tools`: the same with the vision module and the 2F-85 on the flange, for `tests/arms/gen3.py` |
 //! | `SCENE.clearances` | seven angles, the flange's x y z in the arm's frame, shortest distance, all in m |
 //! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration, and the time to stop if the move is halted at its midpoint, in s |
@@ -22,7 +22,7 @@ use anyhow::{Context as _, Result, anyhow};
 use host_bridge::arm::gen3::{COUNT, paper_limits};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::{Base, BaseConfig, Twist};
-use host_bridge::plan::{Placement, Planner};
+use host_bridge::plan::{Case, Placement, Planner, Purse};
 use host_bridge::robot::Random;
 use host_bridge::robot::Trajectory;
 use host_bridge::robot::{JOINTS, JointLimits, Joints, joints};
@@ -75,9 +75,16 @@ fn motions(planner: &Planner, seeds: u64, file: &Path) -> Result<()> {
     for from in &poses {
         for to in poses.iter().filter(|to| *to != from) {
             for seed in 0..seeds {
-                let plan = planner
-                    .plan(from, to, Placement::default(), seed)
-                    .map_err(|refusal| anyhow!("{refusal}"))?;
+                // Every other plan is the best of several, as the robot would drive it.
+                let purse = Purse::default();
+                let (placement, things) = (Placement::default(), planner.world().start());
+                let case = Case { placement, things, purse: &purse };
+                let plan = if seed % 2 == 0 {
+                    planner.plan_among(from, to, case, seed)
+                } else {
+                    planner.plan_best(from, to, case, seed)
+                };
+                let plan = plan.map_err(|refusal| anyhow!("{refusal}"))?;
                 let samples = (plan.trajectory.duration_s() * 100.0).ceil() as u64;
                 for k in 0..=samples {
                     let joints_rad = plan.trajectory.motion(k as f64 / 100.0).joints_rad;

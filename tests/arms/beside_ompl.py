@@ -21,7 +21,10 @@ and with the proof that braking on rounded corners is clear too.
 OMPL plans in two spaces: with the distance that MoveIt uses, where the goals are judged, and with Euclid's distance, for
 comparison. Its rounded path is not checked again, as MoveIt would; the number of paths that touch something is printed.
 
-Exit code 0 = all plans succeed, and no goal is missed but those in OWED.
+For each pair, the program also tells the time that the slowest joint needs if it moves alone. No motion takes less time, whatever its
+path. Where even these times are more than the goal's share of OMPL's, our motions must come near them instead.
+
+Exit code 0 = all plans succeed, and no goal is missed.
 """
 
 import json
@@ -41,8 +44,8 @@ SEGMENT = 0.005
 LONGEST_S = 10.0
 # Goals: of the median planning time at 0.1/0.05, of the mean duration, and of the time of the best of several.
 HALF, SHORTER, BEST_S = 0.5, 0.6, 0.060
-# In these scenes and with these scalings, the goal for the duration is not met yet.
-OWED = {("shelf", "1/1"), ("bins", "0.1/0.05"), ("bins", "1/1")}
+# Where no motion can meet the goal for the duration: at most this many times the least time of any motion.
+NEAR_LEAST = 1.05
 
 
 class Planner:
@@ -161,7 +164,7 @@ def empty_call_s(kind, pair):
     return (time.thread_time() - begin - inside) / calls
 
 
-def plan(planner, kind, scene, margin_m, pair, empty_s):
+def plan(planner, kind, scene, pair, empty_s):
     """Time in s of search, simplification and checks, number of checks, and the path; None if there is none."""
     setup = geometric.SimpleSetup(space_of(kind, pair))
     space = setup.getStateSpace()
@@ -170,7 +173,7 @@ def plan(planner, kind, scene, margin_m, pair, empty_s):
     def check(state):
         nonlocal inside
         begin = time.thread_time()
-        clear = planner.ask(0, scene, kind.angles(state), 1)[0] >= margin_m
+        clear = planner.ask(0, scene, kind.angles(state), 1)[0] > 0.0
         inside += time.thread_time() - begin
         return clear
 
@@ -212,10 +215,10 @@ def main():
     planner = Planner(sys.argv[1])
     missed = 0
 
-    def goal(met, text, is_owed=False):
+    def goal(met, text):
         nonlocal missed
-        missed += not met and not is_owed
-        print(f"  {'met   ' if met else 'owed  ' if is_owed else 'MISSED'} {text}")
+        missed += not met
+        print(f"  {'met   ' if met else 'MISSED'} {text}")
 
     for scene, told in enumerate(planner.scenes):
         kinds = [Sum(), Vector()]
@@ -227,7 +230,7 @@ def main():
                 # In turn, so that what else the machine does meets all.
                 ours.append(planner.ask(1, scene, [number, seed], 12))
                 for k, kind in enumerate(kinds):
-                    found = plan(planner, kind, scene, told["margin_m"], pair, empty_s[k])
+                    found = plan(planner, kind, scene, pair, empty_s[k])
                     if found:
                         theirs[k].append((found, planner.timed(scene, found["path"])))
         good = sum(all(row[0::3]) for row in ours)
@@ -272,7 +275,16 @@ def main():
                 if j == 0:
                     goal(quick <= HALF, f"{scaling}: a single plan of ours takes {quick:.2f} of OMPL's median ({HALF})")
                 text = f"{scaling}: motions of the best of several take {short:.2f} of OMPL's ({SHORTER})"
-                goal(short <= SHORTER, text, (told["name"], scaling) in OWED)
+                least = statistics.mean(pair["least_s"][j] for pair in told["pairs"])
+                bound = least / their_motion
+                if bound <= SHORTER:
+                    goal(short <= SHORTER, f"{text}; the least of any motion is {bound:.2f}")
+                else:
+                    goal(
+                        statistics.mean(best_motion) <= NEAR_LEAST * least,
+                        f"{text}: no motion can, the least of any is {bound:.2f}; ours take {statistics.mean(best_motion) / least:.3f} "
+                        f"of the least ({NEAR_LEAST})",
+                    )
     sys.exit(1 if missed else 0)
 
 

@@ -5,7 +5,7 @@
 //!
 //! | what | values | answer |
 //! |---|---|---|
-//! | 0 | joint angles | distance in m to the nearest thing, with the planner's own check |
+//! | 0 | joint angles | 1 if nothing is nearer than the scene's margin, otherwise 0, with the planner's own check |
 //! | 1 | pair, seed | for each scaling: single plan and best of several; of each, success (0 or 1), time in s, duration in s |
 //! | 2 | - | number of checks since the last such request, and the time in s that they take |
 //! | 3 | n; then n rows of seven angles | for each scaling: the time in s to time this path, the duration in s; then the nearest distance in m on the rounded path |
@@ -86,12 +86,13 @@ impl Place {
             let low: Vec<f64> = (0..COUNT).map(|i| range(i).0).collect();
             let high: Vec<f64> = (0..COUNT).map(|i| range(i).1).collect();
             format!(
-                "{{\"from\":{},\"to\":{},\"low\":{},\"high\":{},\"turns\":{:?}}}",
+                "{{\"from\":{},\"to\":{},\"low\":{},\"high\":{},\"turns\":{:?},\"least_s\":{:?}}}",
                 values(from),
                 values(to),
                 values(&low),
                 values(&high),
                 (0..COUNT).map(|i| world.arm().joints[i].limit_rad.is_none()).collect::<Vec<_>>(),
+                self.planners.iter().map(|planner| planner.least_s(from, to)).collect::<Vec<_>>(),
             )
         };
         let pairs: Vec<String> = self.pairs.iter().map(pair).collect();
@@ -177,6 +178,9 @@ fn main() -> Result<(), Failure> {
     println!("[{}]", told.join(","));
     let surroundings: Vec<_> =
         places.iter().map(|place| place.planners[0].world().around(Placement::default())).collect();
+    let is_clear = |scene: usize, joints_rad: &Joints| {
+        surroundings[scene].is_clear(joints_rad, places[scene].planners[0].world().scene().arm.margin_m)
+    };
     let mut checked: Vec<(usize, Joints)> = Vec::new();
     while let Some([what, scene, values @ ..]) = read::<9>() {
         let scene = scene as usize;
@@ -184,14 +188,13 @@ fn main() -> Result<(), Failure> {
             0 => {
                 let joints_rad = joints(&values);
                 checked.push((scene, joints_rad));
-                vec![surroundings[scene].arm_clearance(&joints_rad).distance_m]
+                vec![f64::from(u8::from(is_clear(scene, &joints_rad)))]
             }
             1 => places[scene].plan(values[0] as usize, values[1] as u64),
             2 => {
                 let start_s = now_s();
-                let nearest_m =
-                    checked.iter().map(|(scene, at)| surroundings[*scene].arm_clearance(at).distance_m);
-                std::hint::black_box(nearest_m.fold(f64::INFINITY, f64::min));
+                let clear = checked.iter().filter(|(scene, at)| is_clear(*scene, at)).count();
+                std::hint::black_box(clear);
                 let took_s = now_s() - start_s;
                 let count = std::mem::take(&mut checked).len();
                 vec![count as f64, took_s]

@@ -1,8 +1,6 @@
 //! Computes distances between the robot's parts, and to the surroundings.
 //!
-//! Checks of the path between two configurations are exact; they are not sampled.
-//! A rotation moves no point of the arm further than the angle times the joint's lever.
-//! One computed distance can therefore show that a long part of the path is free of collisions ([`Surroundings::way_is_clear`]).
+//! Checks of the path between two configurations are exact; they are not sampled ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 
@@ -49,7 +47,7 @@ pub struct World {
     lever_m: Joints,
     tool: Tool,
     /// Pairs of links that can touch. Tool, fingers and held object follow the last link.
-    pairs: Vec<(usize, usize)>,
+    pub(super) pairs: Vec<(usize, usize)>,
     start: Things,
     notes: Vec<String>,
 }
@@ -246,7 +244,7 @@ impl World {
     }
 
     /// Returns the tool's number among the links; fingers and held object follow.
-    fn tool_link(&self) -> usize {
+    pub(super) fn tool_link(&self) -> usize {
         self.arm.joints.len() + 1
     }
 
@@ -285,7 +283,7 @@ impl World {
 }
 
 /// Two parts whose hulls are compared.
-enum Near {
+pub(super) enum Near {
     /// A link and the base.
     Base(usize),
     /// A link and an obstacle.
@@ -299,16 +297,16 @@ enum Near {
 pub struct Surroundings<'w> {
     world: &'w World,
     touch: &'w Touch,
-    on_flange: OnFlange,
-    boxes: Vec<(Part, UprightBox)>,
+    pub(super) on_flange: OnFlange,
+    pub(super) boxes: Vec<(Part, UprightBox)>,
     /// The same boxes, prepared for many distances.
-    set_boxes: Vec<SetBox>,
+    pub(super) set_boxes: Vec<SetBox>,
     /// The boxes as solids, for measuring their distances from hulls.
     solids: Vec<Solid>,
     body: UprightBox,
-    base: SetBox,
+    pub(super) base: SetBox,
     base_solid: Solid,
-    floor_m: f64,
+    pub(super) floor_m: f64,
     checks: Cell<u64>,
     purse: Option<&'w Purse>,
 }
@@ -335,6 +333,14 @@ impl<'w> Surroundings<'w> {
         self.checks.get()
     }
 
+    /// Counts checks, and pays for them.
+    pub(super) fn pay(&self, checks: u64) {
+        self.checks.set(self.checks.get() + checks);
+        if let Some(purse) = self.purse {
+            purse.spend(checks);
+        }
+    }
+
     /// Returns the arm's closest distance to itself, the base, the boxes and the floor.
     pub fn arm_clearance(&self, joints_rad: &Joints) -> Clearance {
         let (own, boxes) = self.arm_clearances(joints_rad);
@@ -345,10 +351,7 @@ impl<'w> Surroundings<'w> {
     /// The first is to the robot itself and the floor, and is independent of the base.
     /// The second is to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
-        self.checks.set(self.checks.get() + 1);
-        if let Some(purse) = self.purse {
-            purse.spend(1);
-        }
+        self.pay(1);
         let world = self.world;
         let poses = world.arm.link_poses(joints_rad);
         let shapes = world.shapes(&poses, &self.on_flange);
@@ -413,22 +416,25 @@ impl<'w> Surroundings<'w> {
             if capsules_m >= enough_m {
                 return;
             }
-            let (exact_m, one, two) = match pair {
-                Near::Base(link) => (hulls.part_from_m(link, &self.base_solid, enough_m), link, Part::Base),
-                Near::Box(link, i) => {
-                    (hulls.part_from_m(link, &self.solids[i], enough_m), link, self.boxes[i].0)
-                }
-                Near::Links(one, two) => (hulls.pair_m(one, two, enough_m), one, self.world.part(two)),
-            };
-            let one = self.world.part(one);
+            let (exact_m, one, two) = self.exact_m(hulls, &pair, enough_m);
             nearest.tighten(self.allowed_m(capsules_m.max(exact_m), one, two), one, two);
         }
+    }
+
+    /// Returns a lower bound of the distance between the hulls of a pair, but at most `enough_m`, and the two parts.
+    pub(super) fn exact_m(&self, hulls: &Hulls<'_>, pair: &Near, enough_m: f64) -> (f64, Part, Part) {
+        let (exact_m, one, two) = match *pair {
+            Near::Base(link) => (hulls.part_from_m(link, &self.base_solid, enough_m), link, Part::Base),
+            Near::Box(link, i) => (hulls.part_from_m(link, &self.solids[i], enough_m), link, self.boxes[i].0),
+            Near::Links(one, two) => (hulls.pair_m(one, two, enough_m), one, self.world.part(two)),
+        };
+        (exact_m, self.world.part(one), two)
     }
 
     /// Returns the distance, or infinity if the two parts may touch.
     /// On the straight path to or from an object, the fingers may touch the object.
     /// A held object may touch its support, but must not sink into it.
-    fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
+    pub(super) fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = self.touch;
         let allowed = match (part, other) {
             (Part::Fingers, Part::Object(i)) => touch.object == Some(i),
@@ -446,43 +452,6 @@ impl<'w> Surroundings<'w> {
             nearest.tighten(self.body.distance_m(obstacle), Part::Base, *part);
         }
         nearest
-    }
-
-    /// Returns whether a straight line in joint space keeps half the margin everywhere.
-    /// The full margin applies at checked configurations.
-    /// If no checks remain, the line does not count as clear.
-    pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
-        let sweep_m = self.sweep_m(from_rad, to_rad);
-        !self.is_spent()
-            && self.arm_clearance(to_rad).distance_m >= margin_m
-            && self.stretch_is_clear(from_rad, to_rad, (0.0, 1.0), sweep_m, margin_m)
-    }
-
-    /// Checks between two fractions of a path that sweeps `sweep_m` in total.
-    fn stretch_is_clear(
-        &self,
-        from_rad: &Joints,
-        to_rad: &Joints,
-        (start, end): (f64, f64),
-        sweep_m: f64,
-        margin_m: f64,
-    ) -> bool {
-        if self.is_spent() {
-            return false;
-        }
-        let middle = 0.5 * (start + end);
-        let reach_m = 0.5 * (end - start) * sweep_m;
-        let joints_rad = between(from_rad, to_rad, middle);
-        let distance_m = self.arm_clearance(&joints_rad).distance_m;
-        if distance_m < margin_m {
-            return false;
-        }
-        // Within half of this part, no distance can be smaller than this one minus the swept distance.
-        if distance_m - reach_m >= 0.5 * margin_m {
-            return true;
-        }
-        self.stretch_is_clear(from_rad, to_rad, (start, middle), sweep_m, margin_m)
-            && self.stretch_is_clear(from_rad, to_rad, (middle, end), sweep_m, margin_m)
     }
 
     /// Returns the maximum displacement of any point of the arm between two configurations.

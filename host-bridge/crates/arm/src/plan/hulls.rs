@@ -12,7 +12,7 @@ use host_robot::{JOINTS, Pose};
 pub(super) const NEAR_M: f64 = 0.03;
 
 /// Maximum number of parts: the foot, the links, the tool, its fingers, and a held object.
-const LINKS: usize = JOINTS + 4;
+pub(super) const LINKS: usize = JOINTS + 4;
 
 /// Number of capsules that most arms have at most.
 const USUAL: usize = 32;

@@ -8,6 +8,7 @@
 //! ```
 //!
 //! * [`collision`]: distances between robot and scene (`hulls` measures parts that are near each other exactly),
+//! * `ways`: whether the straight way between two configurations is clear,
 //! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
 //! * `polish`: quicker corners of a path,
 //! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
@@ -24,6 +25,7 @@ mod polish;
 pub mod purse;
 pub mod reach;
 pub mod rrt;
+mod ways;
 
 pub use collision::{Placement, World};
 pub use planner::{Case, Kind, Plan, Planner, Refusal};

@@ -6,12 +6,12 @@ use crate::model::{JointError, SerialArm};
 use crate::motions::{MotionError, joints_of};
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
 use crate::plan::line;
-use crate::plan::polish::polish;
+use crate::plan::polish::Polish;
 use crate::plan::purse::Purse;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
 use crate::things::Things;
-use host_robot::{JointLimits, Joints, Pose, Random, Trajectory};
+use host_robot::{JOINTS, JointLimits, Joints, Pose, Random, Trajectory};
 
 /// Maximum number of checks in one search.
 const CHECKS_MAX: u64 = 30_000;
@@ -26,8 +26,14 @@ pub const COMPARING_CHECKS_MAX: u64 = 18_000;
 /// This many of these checks are kept for moving the corners of the best plan.
 const POLISHING_CHECKS_MAX: u64 = 9_000;
 
-/// This many of those are kept for the final check of the rounded corners.
+/// The corners of so many plans are moved; most checks are for the best of them.
+const POLISHED: usize = 3;
+
+/// This many of the checks for the corners are kept for the final check of the rounded corners.
 const ROUNDING_CHECKS_MAX: u64 = 2_000;
+
+/// A motion that takes at most this many times the least time of any motion is not improved any more.
+const GOOD: f64 = 1.005;
 
 /// Interval at which cut corners are checked for the path of braking.
 const BRAKING_INTERVAL_S: f64 = 0.05;
@@ -136,6 +142,8 @@ pub struct Planner {
     world: World,
     limits: JointLimits,
     goals: Vec<(String, Joints)>,
+    /// Maximum number of checks in one search. A test makes searches fail with it.
+    search_checks_max: u64,
 }
 
 impl Planner {
@@ -152,7 +160,12 @@ impl Planner {
             }
         }
         let limits = scene.limits(&arm);
-        let mut planner = Planner { world: World::new(arm, scene), limits, goals: Vec::new() };
+        let mut planner = Planner {
+            world: World::new(arm, scene),
+            limits,
+            goals: Vec::new(),
+            search_checks_max: CHECKS_MAX,
+        };
         planner.goals = planner.solve_goals()?;
         Ok(planner)
     }
@@ -161,7 +174,7 @@ impl Planner {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
         // This margin is twice the required margin, so that plans can reach the pose.
-        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
+        let safe = |joints: &Joints| around.is_clear(joints, 2.0 * scene.arm.margin_m);
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
             let joints_rad = match goal {
@@ -225,7 +238,7 @@ impl Planner {
     pub fn place(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Joints, Refusal> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.around(case);
-        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= scene.arm.margin_m;
+        let safe = |joints: &Joints| around.is_clear(joints, scene.arm.margin_m);
         Ok(ik::solve_from(case.purse, arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
     }
 
@@ -288,12 +301,11 @@ impl Planner {
             return Err(Refusal::GoalBlocked { one, two, distance_mm });
         }
         let margin_m = self.start_margin_m(around, from_rad)?;
-        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
-        let search = Search { margin_m, checks_max: CHECKS_MAX, seed };
+        let search = Search { margin_m, checks_max: self.search_checks_max, seed: self.seed(turn) };
 
         let home_rad = arm.unwound(&arm.home_rad, from_rad);
         let via_home = || -> Option<Plan> {
-            if around.arm_clearance(&home_rad).distance_m < margin_m {
+            if !around.is_clear(&home_rad, margin_m) {
                 return None;
             }
             let (there, _) = self.leg(around, from_rad, &home_rad, &search)?;
@@ -329,44 +341,90 @@ impl Planner {
         case: Case<'_>,
         turn: u64,
     ) -> Result<Plan, Refusal> {
-        let mut best = self.plan_among(from_rad, to_rad, case, turn)?;
-        let mut dearest = best.checks;
+        let first = self.plan_among(from_rad, to_rad, case, turn)?;
+        // No plan is quicker than a straight one.
+        if first.kind == Kind::Straight {
+            return Ok(first);
+        }
+        let good_s = GOOD * self.least_s(from_rad, to_rad);
+        let mut dearest = first.checks;
+        let mut plans = vec![first];
         for k in 1..TRIES_MAX {
             let left = (COMPARING_CHECKS_MAX - POLISHING_CHECKS_MAX).saturating_sub(case.purse.spent());
-            // No plan is quicker than a straight one.
-            if best.kind == Kind::Straight || left < dearest {
+            if left < dearest {
                 break;
             }
             let purse = case.purse.apart(left);
             let other = self.plan_among(from_rad, to_rad, Case { purse: &purse, ..case }, turn ^ (k << 32));
             case.purse.spend(purse.spent());
             dearest = dearest.max(purse.spent());
-            if let Ok(other) = other
-                && other.trajectory.duration_s() < best.trajectory.duration_s()
-            {
-                best = other;
+            plans.extend(other);
+            if plans.last().is_some_and(|plan| plan.trajectory.duration_s() <= good_s) {
+                break;
             }
         }
-        if best.kind == Kind::Around
-            && let Some(quicker) = self.polished(&best, case, turn)
-        {
-            (best.trajectory, best.path_rad) = quicker;
-        }
-        Ok(best)
+        plans.sort_by(|a, b| a.trajectory.duration_s().total_cmp(&b.trajectory.duration_s()));
+        let polished = self.polished(&plans, good_s, case, turn);
+        let best = plans.swap_remove(0);
+        let is_quicker = |other: &Plan| {
+            best.kind != Kind::Straight && other.trajectory.duration_s() < best.trajectory.duration_s()
+        };
+        Ok(polished.filter(is_quicker).unwrap_or(best))
     }
 
-    /// Returns a quicker motion on a changed path, if there is one.
-    fn polished(&self, plan: &Plan, case: Case<'_>, turn: u64) -> Option<(Trajectory, Vec<Joints>)> {
+    /// Moves the corners of the quickest of these plans to save time.
+    fn polished(&self, plans: &[Plan], good_s: f64, case: Case<'_>, turn: u64) -> Option<Plan> {
         let purse = case.purse.apart(COMPARING_CHECKS_MAX.saturating_sub(case.purse.spent()));
         let around = self.around(Case { purse: &purse, ..case });
-        let margin_m = self.start_margin_m(&around, &plan.path_rad[0]).ok()?;
-        let checks_max = purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
-        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
-        let search = Search { margin_m, checks_max, seed };
-        let path_rad = polish(&around, &plan.path_rad, &self.limits, &search, CHOICE_CORNERS_MAX);
-        let trajectory = self.quickest(&around, &path_rad, margin_m);
+        let direct = || plans.iter().filter(|plan| plan.kind == Kind::Around);
+        let margin_m = self.start_margin_m(&around, &direct().next()?.path_rad[0]).ok()?;
+        let polish = |plan: &Plan| {
+            let seed = self.seed(turn);
+            let path_rad = plan.path_rad.clone();
+            Polish::new(&around, path_rad, &self.limits, margin_m, seed, CHOICE_CORNERS_MAX)
+        };
+        let mut tried: Vec<Polish<'_>> = direct().take(POLISHED).map(polish).collect();
+        // After half of the checks, only the best path remains.
+        let left = || purse.left().saturating_sub(ROUNDING_CHECKS_MAX);
+        let each = left() / (2 * POLISHED as u64);
+        for polish in &mut tried {
+            polish.improve(each, good_s);
+        }
+        tried.sort_by(|a, b| a.time_s().total_cmp(&b.time_s()));
+        if let Some(best) = tried.first_mut() {
+            best.improve(left(), good_s);
+        }
+        // A path on which the arm would have to stop may be slower than the next one.
+        let mut best: Option<(Trajectory, Vec<Joints>)> = None;
+        for path in tried {
+            let least_s = best.as_ref().map_or(f64::INFINITY, |(motion, _)| motion.duration_s());
+            if path.time_s() < least_s {
+                let path_rad = path.into_path_rad();
+                let motion = self.quickest(&around, &path_rad, margin_m);
+                if motion.duration_s() < least_s {
+                    best = Some((motion, path_rad));
+                }
+            }
+        }
         case.purse.spend(purse.spent());
-        (trajectory.duration_s() < plan.trajectory.duration_s()).then_some((trajectory, path_rad))
+        let (trajectory, path_rad) = best?;
+        Some(Plan { trajectory, path_rad, kind: Kind::Around, home_s: None, checks: purse.spent() })
+    }
+
+    /// Returns the time in s that the slowest joint needs if it moves alone. No motion takes less, whatever its path.
+    pub fn least_s(&self, from_rad: &Joints, to_rad: &Joints) -> f64 {
+        let to_rad = self.world.arm().unwound(to_rad, from_rad);
+        let alone_s = |i: usize| {
+            let mut moved_rad = *from_rad;
+            moved_rad[i] = to_rad[i];
+            Trajectory::through(&[*from_rad, moved_rad], &[], &self.limits).duration_s()
+        };
+        (0..JOINTS).map(alone_s).fold(0.0, f64::max)
+    }
+
+    /// Equal turns have equal seeds.
+    fn seed(&self, turn: u64) -> u64 {
+        Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits()
     }
 
     /// Returns a path from rest to rest, straight or around obstacles.
@@ -422,5 +480,57 @@ impl Planner {
                     })
             })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gen3::HOME;
+
+    /// A post stands before the arm. On both sides of it, the arm reaches out further than to the post.
+    const POST: &str = "[[box]]\nname = \"post\"\ncenter_m = [0.8, 0.0, 0.65]\nsize_m = [0.06, 0.06, 1.3]";
+
+    fn beside_the_post() -> (Joints, Joints) {
+        let at = |turn_rad: f64| host_robot::joints([turn_rad, 1.1, HOME[2], -0.9, 0.0, -0.4, HOME[6]]);
+        (at(-0.5), at(0.5))
+    }
+
+    #[test]
+    fn where_no_direct_way_is_found_the_arm_goes_by_way_of_home() {
+        let mut planner = Planner::new(SerialArm::gen3(), Scene::parse(POST).unwrap()).unwrap();
+        let (from, to) = beside_the_post();
+        let plan = |planner: &Planner| planner.plan(&from, &to, Placement::default(), 1).unwrap();
+        assert_eq!(plan(&planner).kind, Kind::Around);
+        // A search without checks finds nothing, so only straight ways remain.
+        planner.search_checks_max = 0;
+        let plan = plan(&planner);
+        assert_eq!(plan.kind, Kind::ViaHome);
+        assert_eq!(plan.path_rad, [from, HOME, to]);
+        let home_s = plan.home_s.unwrap();
+        let at_home = plan.trajectory.motion(home_s);
+        assert_eq!((at_home.joints_rad, at_home.velocity_rad_s), (HOME, [0.0; JOINTS]));
+        assert!(home_s < plan.trajectory.duration_s());
+        let around = planner.world().around(Placement::default());
+        for k in 0..=200 {
+            let now = plan.trajectory.motion(plan.trajectory.duration_s() * f64::from(k) / 200.0);
+            assert!(around.arm_clearance(&now.joints_rad).distance_m >= 0.005);
+        }
+        // Its corner is home, and stays there.
+        let purse = Purse::default();
+        let case = Case { placement: Placement::default(), things: planner.world().start(), purse: &purse };
+        assert_eq!(planner.plan_best(&from, &to, case, 1).unwrap().path_rad, [from, HOME, to]);
+    }
+
+    #[test]
+    fn where_home_is_blocked_too_the_motion_is_refused() {
+        let blocked = format!(
+            "{POST}\n[[box]]\nname = \"crate\"\ncenter_m = [0.55, 0.0, 0.9]\nsize_m = [0.1, 0.1, 0.1]"
+        );
+        let mut planner = Planner::new(SerialArm::gen3(), Scene::parse(&blocked).unwrap()).unwrap();
+        let (from, to) = beside_the_post();
+        planner.search_checks_max = 0;
+        let refusal = planner.plan(&from, &to, Placement::default(), 1).unwrap_err();
+        assert!(matches!(refusal, Refusal::NoWay { .. }), "{refusal}");
     }
 }

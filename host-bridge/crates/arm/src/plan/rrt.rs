@@ -9,6 +9,10 @@ use host_robot::{JOINTS, Joints};
 /// Maximum distance that a step of a tree sweeps.
 const STEP_M: f64 = 0.35;
 
+/// Finding the nearest of so many nodes takes about as long as a check.
+/// Without this cost, a search that finds no path would spend most of its time in its own trees.
+const NODES_PER_CHECK: usize = 256;
+
 /// Number of attempted shortcuts between two random points of the path.
 const SHORTCUT_TRIES: usize = 40;
 
@@ -89,6 +93,7 @@ fn sample(around: &Surroundings<'_>, from_rad: &Joints, to_rad: &Joints, random:
 impl Tree {
     /// One step from the nearest node towards a configuration.
     fn grow(&mut self, aim: &Joints, around: &Surroundings<'_>, search: &Search) -> Grown {
+        around.pay((self.0.len() / NODES_PER_CHECK) as u64);
         let lever = around.world().lever_m();
         let apart =
             |joints: &Joints| -> f64 { (0..JOINTS).map(|i| (lever[i] * (aim[i] - joints[i])).powi(2)).sum() };
