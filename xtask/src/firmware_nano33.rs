@@ -130,7 +130,7 @@ pub fn run(args: &[&str]) -> Result<()> {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
         if has_second_stage(options) {
-            let stage = second_stage::build(&image, is_xiao(name))?;
+            let stage = second_stage::keep(&image)?;
             let files = second_stage::make_files(&image, &stage, board(name), key)?;
             println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
         } else if is_xiao(name) {
@@ -180,9 +180,15 @@ fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
 fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     let target = target_dir();
     let mut command = cargo_for(options, "build")?;
+    command.args(["--release", "--locked"]).args(options);
+    if has_second_stage(options) {
+        // Both are built by one command, because with other features their common dependencies would be built twice.
+        command.args(["-p", "firmware-nano33", "-p", "nano33-stage"]);
+        if is_xiao(name) {
+            command.args(["--features", "nano33-stage/xiao"]);
+        }
+    }
     command
-        .args(["--release", "--locked"])
-        .args(options)
         .current_dir(root().join("firmware-nano33"))
         .env("CARGO_TARGET_DIR", &target);
     sh(&mut command)?;

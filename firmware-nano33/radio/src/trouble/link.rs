@@ -29,8 +29,9 @@ pub type Payload = heapless::Vec<u8, PAYLOAD>;
 type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 
 /// A laptop that may bond gets this much time, because its owner must find a question and answer it.
-/// In addition, the owner may have to count the flashes of a passkey.
-const WHILE_PAIRING: Duration = Duration::from_secs(60);
+const WHILE_PAIRING: Duration = Duration::from_secs(30);
+/// A laptop whose owner types a passkey gets this much time. The laptop itself waits 30 s for the passkey.
+const WHILE_TYPING: Duration = Duration::from_secs(60);
 /// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
 /// A piece that was not sent within this time (one hop) is late.
@@ -263,7 +264,11 @@ impl Visit {
         loop {
             let may_bond = self.bonds.may_bond();
             let _ = self.link.raw().set_bondable(may_bond);
-            let patience = if may_bond { WHILE_PAIRING } else { STRANGER };
+            let patience = match pairing::passkey() {
+                Some(_) => WHILE_TYPING,
+                None if may_bond => WHILE_PAIRING,
+                None => STRANGER,
+            };
             if self.trusted.get().is_some() {
                 waited = Duration::from_secs(0);
             } else if waited >= patience {
