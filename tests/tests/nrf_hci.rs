@@ -559,7 +559,7 @@ fn mutated_packet(random: &mut fastrand::Rng, from: &[Vec<u8>]) -> Vec<u8> {
 /// Sends such packets over the air to a board with a bonded laptop.
 /// If the board disconnects, the laptop connects again.
 fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
-    let count = if is_full() { 100_000 } else { 1000 };
+    let count = if is_full() { 100_000 } else { 300 };
     let mut rig = joined(7.5);
     rig.run_ms(1500);
     let tap = rig.board.tap("bimanual_sample", 0);
@@ -594,7 +594,10 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
     }
     rig.run_ms(500);
     let samples = samples_without_a_gap(&rig, tap);
-    println!("{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last");
+    let free = rig.heard.statuses.last().expect("a status").free_stack_bytes;
+    println!(
+        "{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last; {free} B of stack unused"
+    );
     assert_eq!(rig.board.resets, STARTED_ONCE);
     // The owner's keys still work, and the board still executes requests.
     if rig.board.controller().is_connected() {
