@@ -587,6 +587,9 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
                 rig.board.controller().inject(&packet, true);
             }
             sent += 1;
+            if sent % 10_000 == 0 {
+                println!("{sent} packets so far");
+            }
         }
         rig.run_ms(5);
         let places = rig.board.panics(panics);

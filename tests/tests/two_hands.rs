@@ -244,7 +244,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
 /// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
