@@ -20,12 +20,18 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
     // The executor in thread mode receives this context value.
     // A task that wakes therefore sends an event, which ends the sleep below.
     let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
-    init(executor.spawner());
+    start(executor.spawner(), init);
     loop {
         // SAFETY: `poll` is called only here and never from within a task.
         unsafe { executor.poll() };
         sleep();
     }
+}
+
+/// Runs the initialisation in a stack frame of its own, because the frame of [`run`] remains for ever.
+#[inline(never)]
+fn start(spawner: Spawner, init: impl FnOnce(Spawner)) {
+    init(spawner);
 }
 
 /// Sleeps until an event.

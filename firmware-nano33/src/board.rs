@@ -10,6 +10,7 @@ use nano33_sensor::found::Kind;
 use shared_board::hand::CountHand;
 use shared_board::models::Runs;
 use shared_board::right::{Light, RightBoard};
+use shared_dsp::right::Windows;
 use shared_proto::message::{FaultKind, Status};
 
 use crate::link::Everywhere;
@@ -17,8 +18,8 @@ use crate::sample::{AXES, SAMPLE_HZ};
 use crate::state::{self, SENSOR_OK};
 use crate::{about, boards};
 
-/// The board's logic.
-pub type Board = RightBoard<CountHand<'static, AXES>>;
+/// The board's logic. Its windows are static, because they are too large to be built on the stack.
+pub type Board = RightBoard<CountHand<'static, AXES, &'static mut Windows<AXES>>>;
 
 /// Requirements that a model must meet to run on this image, if the sensor has all nine axes.
 pub const RUNS: Runs = Runs { axes: AXES as u8, sample_hz: SAMPLE_HZ as u16 };

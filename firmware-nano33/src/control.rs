@@ -9,10 +9,12 @@ use shared_proto::frame::parse_host;
 use shared_proto::message::HostMessage;
 
 use crate::link::INBOX;
-use crate::storage::PAUSE;
 #[cfg(feature = "trouble")]
-use crate::update;
+use crate::link::WayOut;
+use crate::storage::PAUSE;
 use crate::{about, board, state, vibrate};
+#[cfg(feature = "trouble")]
+use crate::{radio, update};
 
 /// Answers the laptop's requests forever.
 pub async fn run<F: MappedFlash>(
@@ -33,6 +35,9 @@ pub async fn run<F: MappedFlash>(
         if received.trusted && matches!(message, HostMessage::HelloRequest) {
             // If the mark cannot be stored, the laptop learns this when it asks about the image.
             images.said_hello().await;
+            if link == WayOut::Ble {
+                radio::say_paired();
+            }
         }
         if let Some(request) = request {
             #[cfg(feature = "trouble")]

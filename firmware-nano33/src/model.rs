@@ -5,13 +5,14 @@ use core::sync::atomic::Ordering;
 use shared_board::Identity;
 use shared_board::hand::CountHand;
 use shared_board::models::ModelStore;
-use shared_dsp::right::RightHand;
 use shared_dsp::right::decision::DecisionConfig;
 use shared_dsp::right::network::Model;
+use shared_dsp::right::{RightHand, Windows};
 use shared_proto::message::{FaultKind, Sensor};
+use static_cell::ConstStaticCell;
 
 use crate::board::{self, Board, RUNS};
-use crate::sample::SAMPLE_HZ;
+use crate::sample::{AXES, SAMPLE_HZ};
 use crate::storage::{self, Flash, Region, Slots};
 use crate::{boards, state};
 
@@ -21,6 +22,8 @@ struct Aligned<T: ?Sized>(T);
 
 static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/model.blob")));
 
+static WINDOWS: ConstStaticCell<Windows<AXES>> = ConstStaticCell::new(Windows::new());
+
 /// The store for received models.
 pub type Kept<F> = ModelStore<Slots<F>>;
 
@@ -29,8 +32,9 @@ pub fn install<F: Flash>(flash: F) -> Kept<F> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
     // The store has checked a stored model, and build.rs checks the built-in model.
-    let hand =
-        Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
+    let hand = Model::parse(blob).ok().and_then(|model| {
+        RightHand::with_windows(model, DecisionConfig::default(), WINDOWS.try_take()?).ok()
+    });
     let Some(hand) = hand else { defmt::unreachable!("checked before") };
     defmt::info!("model {:#010x}, from {}", hand.model().info().model_id, defmt::Debug2Format(&found.model));
     let identity = Identity {

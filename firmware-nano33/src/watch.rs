@@ -5,12 +5,16 @@ use core::sync::atomic::Ordering;
 use embassy_nrf::gpio::{Level, Output};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_time::{Duration, Ticker, Timer};
+#[cfg(feature = "trouble")]
+use shared_board::passkey::{Flash, PasskeyLight};
 use shared_board::right::Light;
 use shared_proto::message::{FaultKind, Status};
 
 use crate::awake::{Load, free_stack_bytes};
 use crate::board;
 use crate::link;
+#[cfg(feature = "trouble")]
+use crate::radio;
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
 /// Time between two flashes that belong together.
@@ -40,11 +44,17 @@ pub fn start_watchdog(
     }
 }
 
+/// Half of a step in which the light shows a passkey. Two steps fit into a second, between two status messages.
+#[cfg(feature = "trouble")]
+const HALF_STEP: Duration = Duration::from_millis(200);
+
 /// Sends the status, feeds the watchdog and flashes the LED once per second.
 #[embassy_executor::task]
 pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
     let mut second = Ticker::every(Duration::from_secs(1));
     let mut load = Load::new();
+    #[cfg(feature = "trouble")]
+    let mut digits = PasskeyLight::default();
     loop {
         second.next().await;
         let all = ALIVE_SAMPLE | ALIVE_CLASSIFY;
@@ -62,7 +72,22 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
             load_permille: load.permille(),
             ..Status::default()
         };
-        let (light, flashes) = match board::status(counted) {
+        let light = board::status(counted);
+        #[cfg(feature = "trouble")]
+        if let Some(passkey) = radio::passkey() {
+            radio::say_passkey(passkey);
+            for _ in 0..2 {
+                let flash = digits.next(passkey).map(|flash| match flash {
+                    Flash::Zero => &mut led.blue,
+                    Flash::One => &mut led.green,
+                    Flash::Five => &mut led.red,
+                });
+                show(flash, HALF_STEP).await;
+                Timer::after(HALF_STEP).await;
+            }
+            continue;
+        }
+        let (light, flashes) = match light {
             Light::SensorGone => (&mut led.red, 1),
             Light::Recording => (&mut led.blue, 1),
             Light::Well => (&mut led.green, 1),
@@ -73,10 +98,19 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
                 Timer::after(BETWEEN_FLASHES).await;
             }
             // A flash is short because the LED draws more current than the rest of the board.
-            light.set_level(Level::Low);
-            Timer::after(Duration::from_millis(10)).await;
-            light.set_level(Level::High);
+            show(Some(light), Duration::from_millis(10)).await;
         }
+    }
+}
+
+/// Waits for this long with a colour on, or in the dark.
+async fn show(mut light: Option<&mut Output<'static>>, time: Duration) {
+    if let Some(light) = &mut light {
+        light.set_level(Level::Low);
+    }
+    Timer::after(time).await;
+    if let Some(light) = &mut light {
+        light.set_level(Level::High);
     }
 }
 

@@ -1,9 +1,10 @@
 //! The source of a right board's gestures: a network with an IMU, or anything else with the same output.
 
+use core::borrow::BorrowMut;
 use core::marker::PhantomData;
 
 use shared_dsp::right::network::{self, MAX_AXES};
-use shared_dsp::right::{RightHand, RightOutput};
+use shared_dsp::right::{RightHand, RightOutput, Windows};
 use shared_proto::message::{ModelInfo, Text};
 
 /// Converts samples to gestures.
@@ -77,28 +78,28 @@ impl Reading for f32 {
 }
 
 /// A hand whose samples are counts of the sensor.
-pub type CountHand<'m, const A: usize> = SampledHand<'m, i16, A>;
+pub type CountHand<'m, const A: usize, W = Windows<A>> = SampledHand<'m, i16, A, W>;
 
 /// A hand whose samples are in m/s², deg/s and µT.
 pub type ValueHand<'m, const A: usize> = SampledHand<'m, f32, A>;
 
-/// A hand that runs a model on samples with `A` values each.
+/// A hand that runs a model on samples with `A` values each. `W` holds its windows ([`RightHand`]).
 #[derive(Clone, Debug)]
-pub struct SampledHand<'m, R, const A: usize> {
-    hand: RightHand<'m, A>,
+pub struct SampledHand<'m, R, const A: usize, W = Windows<A>> {
+    hand: RightHand<'m, A, W>,
     scale: [f32; 3],
     readings: PhantomData<R>,
 }
 
-impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
+impl<'m, R: Reading, const A: usize, W> SampledHand<'m, R, A, W> {
     /// `scale` is the physical value of one count in m/s², deg/s and µT.
     /// The scale converts samples in counts. For other samples, it is used only in record mode.
-    pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
+    pub fn new(hand: RightHand<'m, A, W>, scale: [f32; 3]) -> Self {
         Self { hand, scale, readings: PhantomData }
     }
 }
 
-impl<R: Reading, const A: usize> Hand for SampledHand<'_, R, A> {
+impl<R: Reading, const A: usize, W: BorrowMut<Windows<A>>> Hand for SampledHand<'_, R, A, W> {
     type Sample = [R; A];
 
     fn push(&mut self, sample: &[R; A], time_ms: u32) -> bool {

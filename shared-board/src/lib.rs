@@ -67,6 +67,7 @@ pub mod left;
 pub mod memory;
 pub mod models;
 pub(crate) mod pages;
+pub mod passkey;
 pub mod right;
 pub mod slots;
 pub mod swap;
@@ -74,7 +75,9 @@ pub mod update;
 pub mod vibration;
 
 use shared_proto::frame::encode_body;
-use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
+use shared_proto::message::{
+    Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Pairing, PairingKind, Text,
+};
 
 /// A destination of frames, such as a serial line, a radio or a vector of bytes.
 ///
@@ -120,6 +123,11 @@ impl Identity {
 
 /// Time between two statuses.
 pub const STATUS_INTERVAL_MS: u32 = 1000;
+
+/// Says how a laptop pairs or has paired over Bluetooth.
+pub fn say_pairing(kind: PairingKind, passkey: u32, out: &mut impl FrameOut) {
+    send::<{ Pairing::FRAME_MAX }>(&Pairing { kind, passkey }, out);
+}
 
 /// Encodes a message into a buffer of `N` bytes, which must be at least its [`BoardBody::FRAME_MAX`], and sends it.
 fn send<const N: usize>(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {

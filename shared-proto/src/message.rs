@@ -34,7 +34,7 @@ pub use table::{BoardBody, Boards, Row};
 /// The major version increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// This number increases when a message is added. The older side ignores messages that it does not know.
-pub const PROTOCOL_MINOR: u8 = 6;
+pub const PROTOCOL_MINOR: u8 = 7;
 
 board_messages! {
     /// Messages from a board to the laptop.
@@ -69,6 +69,8 @@ board_messages! {
         /// The mean acceleration of one hop, from which a laptop computes the tilt of the right hand.
         /// The board sends it after each state, but only once [`HostMessage::SetThresholds`] has requested it.
         11 Tilt(RightTilt) => Right, 6;
+        /// How a laptop pairs or has paired with the board over Bluetooth.
+        12 Pairing(Pairing) => Both, 7;
     }
 }
 
@@ -238,6 +240,29 @@ pub struct RightTilt {
     pub sequence: u16,
     /// Mean along the x, y and z axes of the board. An axis that points up reads +9807 at rest.
     pub acceleration_mm_s2: [i16; 3],
+}
+
+/// Pairing over Bluetooth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
+pub struct Pairing {
+    /// What the message says.
+    pub kind: PairingKind,
+    /// The six digits to type at the laptop that pairs; 0 for other kinds than [`PairingKind::Passkey`].
+    pub passkey: u32,
+}
+
+open_list! {
+    /// Kinds of [`Pairing`].
+    PairingKind {
+        /// A laptop pairs, and its owner must type the passkey there.
+        /// The board sends this every second over its cables, and never over Bluetooth.
+        Passkey = 0,
+        /// This Bluetooth link was paired by "just works": nobody compared or typed a number.
+        /// An attacker nearby may have answered in place of the laptop or the board.
+        JustWorks = 1,
+        /// This Bluetooth link was paired with a passkey.
+        PasskeyTyped = 2,
+    }
 }
 
 /// Counters since start.

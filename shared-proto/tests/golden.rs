@@ -82,6 +82,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
         }),
         BoardMessage::RawAdc(RawAdc { board_time_ms: 61_010, counts: [4096, 0, 4912, 5632, 8184] }),
         BoardMessage::Tilt(RightTilt { sequence: 300, acceleration_mm_s2: [-3354, 0, 9215] }),
+        BoardMessage::Pairing(Pairing { kind: PairingKind::Passkey, passkey: 123_456 }),
     ]
 }
 
@@ -128,6 +129,7 @@ fn lists() -> Vec<String> {
         list::<Image>("Image"),
         list::<ResetCause>("ResetCause"),
         list::<Signal>("Signal"),
+        list::<PairingKind>("PairingKind"),
         list::<Heading>("Heading"),
         list::<Mode>("Mode"),
         list::<CalibrationStep>("CalibrationStep"),
@@ -176,9 +178,10 @@ fn the_wire_has_not_changed_without_a_new_version() {
     }
 
     let kept = |line: &&str| {
-        let open = ["Board", "FaultKind", "AckResult", "Sensor", "Image", "ResetCause", "Signal"]
-            .iter()
-            .any(|list| line.starts_with(&format!("list {list}:")));
+        let open =
+            ["Board", "FaultKind", "AckResult", "Sensor", "Image", "ResetCause", "Signal", "PairingKind"]
+                .iter()
+                .any(|list| line.starts_with(&format!("list {list}:")));
         now.iter().any(|new| new == line || open && new.starts_with(*line))
     };
     let gone: Vec<&&str> = old_lines.iter().filter(|line| !kept(line)).collect();

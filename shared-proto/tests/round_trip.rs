@@ -77,6 +77,7 @@ proptest! {
             BoardMessage::About(body) => encode_body(&body, &mut again),
             BoardMessage::RawAdc(body) => encode_body(&body, &mut again),
             BoardMessage::Tilt(body) => encode_body(&body, &mut again),
+            BoardMessage::Pairing(body) => encode_body(&body, &mut again),
         };
         prop_assert_eq!(frame, body);
 
@@ -164,7 +165,7 @@ fn the_largest_message_of_each_kind_has_the_stated_size() {
     }
 }
 
-/// Boards with little memory reserve buffers of these sizes, which are those of protocol 1.6.
+/// Boards with little memory reserve buffers of these sizes, which are those of protocol 1.7.
 #[test]
 fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];

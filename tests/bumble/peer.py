@@ -110,7 +110,9 @@ class Laptop(Controller):
 
 
 class Delegate(PairingDelegate):
-    """Whoever sits at the laptop says yes to what the laptop shows."""
+    """Whoever sits at the laptop says yes to what the laptop shows, and types what a test tells (`do_type`)."""
+
+    typed = None
 
     async def confirm(self, auto=False):
         note(asked="confirm")
@@ -125,7 +127,8 @@ class Delegate(PairingDelegate):
 
     async def get_number(self):
         note(asked="enter")
-        return None
+        Delegate.typed = asyncio.get_running_loop().create_future()
+        return await Delegate.typed
 
 
 answer = []
@@ -292,6 +295,9 @@ class Desk:
         connection = self.connection(order)
         await connection.pair()
         return {"encrypted": bool(connection.encryption), "sc": bool(connection.sc), "authenticated": connection.authenticated}
+
+    async def do_type(self, order):
+        Delegate.typed.set_result(order["number"])
 
     async def do_encrypt(self, order):
         connection = self.connection(order)

@@ -32,6 +32,15 @@ pub fn has_linked_image() -> bool {
     has
 }
 
+/// Returns whether to run those of these tests that take long and whose subject shorter ones cover in part.
+pub fn has_linked_image_and_time() -> bool {
+    let runs = is_full() && has_linked_image();
+    if !runs {
+        println!("SKIPPED: runs with `cargo xtask test --full`");
+    }
+    runs
+}
+
 /// Returns whether this is the long run (`cargo xtask test --full`).
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()

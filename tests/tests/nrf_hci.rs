@@ -11,7 +11,7 @@
 use serde_json::{Value, json};
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{Model, crc32};
-use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode};
+use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode, Pairing, PairingKind};
 use tests::is_full;
 use tests::nrf::air_host::{IN, OUT};
 use tests::nrf::board::Kind;
@@ -27,6 +27,8 @@ const STARTED_ONCE: [u32; 1] = [4];
 const BONDS: std::ops::Range<usize> = 0xD6000..0xD8000;
 /// SMP error code: the board requires an authentication that the laptop does not offer.
 const AUTHENTICATION_REQUIREMENTS: u64 = 3;
+/// SMP error code: the passkeys differ.
+const CONFIRM_VALUE_FAILED: u64 = 4;
 
 /// Creates a board that lies still and has started.
 fn rig() -> RightRig {
@@ -121,6 +123,150 @@ fn legacy_pairing_is_refused() {
     println!("{failed}");
     assert_eq!(failed["code"], AUTHENTICATION_REQUIREMENTS);
     assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
+/// Reads a passkey as an owner does who counts the flashes of the light. Red counts 5, green counts 1, and blue is 0.
+/// Flashes of one digit follow within 0.4 s, digits after more than 1 s, and the first digit after more than 2 s.
+fn passkey_of_the_light(rig: &mut RightRig) -> u64 {
+    let (mut digits, mut lit_ms, mut dark_ms) = (Vec::new(), [0; 3], 0);
+    for _ in 0..30_000 / 5 {
+        rig.run_ms(5);
+        let led = rig.board.soc().led();
+        match led.iter().position(|&on| on) {
+            Some(colour) => {
+                lit_ms[colour] += 5;
+                // The board's usual flash is shorter.
+                if lit_ms[colour] == 100 {
+                    if digits.is_empty() || dark_ms > 1000 {
+                        digits.push(0);
+                    }
+                    *digits.last_mut().expect("a digit") += [5, 1, 0][colour];
+                    dark_ms = 0;
+                }
+            }
+            None => {
+                (lit_ms, dark_ms) = ([0; 3], dark_ms + 5);
+                if digits.len() == 6 && dark_ms > 2000 {
+                    return digits.iter().fold(0, |number, digit| 10 * number + digit);
+                }
+            }
+        }
+    }
+    panic!("the light shows {digits:?}")
+}
+
+/// Lets a laptop with a keyboard pair, until it asks its owner for the passkey. Returns the number of its order.
+fn pair_with_a_keyboard(rig: &mut RightRig) -> u64 {
+    rig.get(json!({"do": "configure", "io": "keyboard"}));
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    let asked = |rig: &mut RightRig| rig.noticed("asked").iter().filter(|(_, what)| what == "enter").count();
+    let before = asked(rig);
+    let order = rig.board.order(json!({"do": "pair"}));
+    assert!(rig.run_until_that(3000, |rig| asked(rig) > before), "the laptop asks for no passkey");
+    order
+}
+
+/// Waits until an order is done.
+fn outcome(rig: &mut RightRig, order: u64) -> Value {
+    for _ in 0..5000 {
+        let outcome = rig.board.controller().air().outcome(order).cloned();
+        if let Some(outcome) = outcome {
+            return outcome;
+        }
+        rig.run_ms(1);
+    }
+    panic!("the order takes too long")
+}
+
+/// Returns how the link was paired, according to the board.
+fn said_paired(rig: &mut RightRig) -> Option<PairingKind> {
+    rig.send(&HostMessage::HelloRequest);
+    rig.run_ms(300);
+    rig.heard.pairings.last().map(|pairing| pairing.kind)
+}
+
+#[test]
+fn a_laptop_with_a_keyboard_pairs_with_the_passkey_that_the_light_and_the_cable_show() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let mut rig = rig();
+    rig.charge();
+    let order = pair_with_a_keyboard(&mut rig);
+    let shown = passkey_of_the_light(&mut rig);
+    let said: Vec<Pairing> = rig.uart.heard.pairings.clone();
+    assert!(
+        said.len() > 5
+            && said.iter().all(|said| *said == Pairing { kind: PairingKind::Passkey, passkey: shown as u32 })
+    );
+    rig.get(json!({"do": "type", "number": shown}));
+    let paired = outcome(&mut rig, order);
+    println!("passkey {shown:06} read off the light: {paired}");
+    let paired = &paired["done"];
+    assert_eq!([&paired["encrypted"], &paired["sc"], &paired["authenticated"]], [&json!(true); 3]);
+    rig.settle_in();
+    assert_eq!(said_paired(&mut rig), Some(PairingKind::PasskeyTyped));
+    // The passkey itself never leaves over the air.
+    assert!(rig.heard.pairings.iter().all(|said| said.passkey == 0));
+    // The board also remembers this.
+    rig.board.soc().nvic.reset_wanted = true;
+    rig.run_ms(3000);
+    rig.heard.pairings.clear();
+    rig.join(15.0);
+    assert_eq!(said_paired(&mut rig), Some(PairingKind::PasskeyTyped));
+    assert_eq!(rig.board.resets.len(), 2, "no panic");
+}
+
+#[test]
+fn a_wrong_passkey_is_refused_and_leaves_no_keys() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let mut rig = rig();
+    rig.charge();
+    let order = pair_with_a_keyboard(&mut rig);
+    rig.run_ms(2000);
+    let shown = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    rig.get(json!({"do": "type", "number": (shown + 1) % 1_000_000}));
+    let failed = outcome(&mut rig, order);
+    println!("{failed}");
+    assert_eq!(failed["code"], CONFIRM_VALUE_FAILED);
+    rig.run_ms(2000);
+    assert_eq!(rig.board.soc().flash[BONDS.start..BONDS.start + 4], [0xFF; 4], "no bond in flash");
+    // The board shows the passkey no longer.
+    rig.uart.heard.pairings.clear();
+    rig.run_ms(3000);
+    assert!(rig.uart.heard.pairings.is_empty());
+    // The next attempt has another passkey, and the right one succeeds.
+    if rig.board.controller().is_connected() {
+        rig.get(json!({"do": "disconnect"}));
+        rig.run_ms(300);
+    }
+    let order = pair_with_a_keyboard(&mut rig);
+    rig.run_ms(2000);
+    let next = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    assert_ne!(next, shown);
+    rig.get(json!({"do": "type", "number": next}));
+    assert_eq!(outcome(&mut rig, order)["done"]["authenticated"], true);
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
+#[test]
+fn laptops_without_a_keyboard_pair_by_just_works_and_the_board_says_so() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    for io in ["none", "display"] {
+        let mut rig = rig();
+        rig.charge();
+        rig.get(json!({"do": "configure", "io": io}));
+        rig.get(json!({"do": "connect", "interval": 15.0}));
+        let paired = rig.get(json!({"do": "pair"}));
+        assert_eq!([&paired["encrypted"], &paired["sc"]], [&json!(true); 2], "{io}");
+        rig.settle_in();
+        assert_eq!(said_paired(&mut rig), Some(PairingKind::JustWorks), "{io}");
+        assert!(rig.uart.heard.pairings.is_empty(), "{io}: no passkey");
+    }
 }
 
 #[test]
@@ -413,7 +559,7 @@ fn mutated_packet(random: &mut fastrand::Rng, from: &[Vec<u8>]) -> Vec<u8> {
 /// Sends such packets over the air to a board with a bonded laptop.
 /// If the board disconnects, the laptop connects again.
 fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
-    let count = if is_full() { 100_000 } else { 1000 };
+    let count = if is_full() { 100_000 } else { 300 };
     let mut rig = joined(7.5);
     rig.run_ms(1500);
     let tap = rig.board.tap("bimanual_sample", 0);
@@ -441,6 +587,9 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
                 rig.board.controller().inject(&packet, true);
             }
             sent += 1;
+            if sent % 10_000 == 0 {
+                println!("{sent} packets so far");
+            }
         }
         rig.run_ms(5);
         let places = rig.board.panics(panics);
@@ -448,7 +597,10 @@ fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
     }
     rig.run_ms(500);
     let samples = samples_without_a_gap(&rig, tap);
-    println!("{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last");
+    let free = rig.heard.statuses.last().expect("a status").free_stack_bytes;
+    println!(
+        "{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last; {free} B of stack unused"
+    );
     assert_eq!(rig.board.resets, STARTED_ONCE);
     // The owner's keys still work, and the board still executes requests.
     if rig.board.controller().is_connected() {

@@ -262,7 +262,7 @@ fn over_the_cable_old_becomes_new_and_old_again() {
 
 #[test]
 fn over_the_cable_a_left_hand_s_image_becomes_new_and_old_again() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     old_becomes_new_and_old_again(Desk::left());
@@ -288,7 +288,7 @@ fn old_becomes_new_and_old_again(mut desk: Desk) {
 
 #[test]
 fn over_bluetooth_a_signed_image_becomes_the_running_one_and_the_old_one_again() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     let mut desk = Desk::new();

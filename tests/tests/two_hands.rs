@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use fastrand::Rng;
-use host_bridge::bridge::{EventKind, GestureOutcome};
+use host_bridge::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use host_bridge::config::Config;
 use host_bridge::demo::Demo;
 use host_bridge::robot::Door as _;
@@ -154,6 +154,11 @@ fn the_bundled_session_with_both_hands_over_bumbles_link_comes_to_what_its_scrip
         }
     }
     compare_with_script(&mut desk, &script, whole, "Bluetooth, both hands");
+    // This laptop has no keyboard.
+    for hand in [Which::Left, Which::Right] {
+        let is_named = |event: &BridgeEvent| matches!(&event.kind, EventKind::Pairing { hand: of, text } if *of == hand && text.contains("just works"));
+        assert!(desk.log.iter().any(is_named), "{hand} hand: paired by \"just works\"");
+    }
     to_arm_ms.sort_by(f64::total_cmp);
     println!(
         "{} motions from rest, from the sample that decides to the arm: median {:.1}, worst {:.1} ms at 15 ms (modelled)",
@@ -239,7 +244,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
 /// The times of the packets are modelled at an interval of 15 ms, which is the longest that the board requests.
 #[test]
 fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });

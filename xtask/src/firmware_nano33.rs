@@ -130,7 +130,7 @@ pub fn run(args: &[&str]) -> Result<()> {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
         if has_second_stage(options) {
-            let stage = second_stage::build(&image, is_xiao(name))?;
+            let stage = second_stage::keep(&image)?;
             let files = second_stage::make_files(&image, &stage, board(name), key)?;
             println!("  to flash: {}\n  for host-bridge update: {}", files[0].display(), files[1].display());
         } else if is_xiao(name) {
@@ -173,6 +173,8 @@ fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     if has_second_stage(options) {
         tools::ensure_where_known(&tools::C_FOR_BOARDS)?;
         command.args(["--config", "profile.release.package.firmware-nano33.opt-level='z'"]);
+        // Boards with these images have no probe, so nobody reads debug information, which a third of the build would make.
+        command.args(["--config", "profile.release.debug=false"]);
     }
     Ok(command)
 }
@@ -180,11 +182,15 @@ fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
 fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     let target = target_dir();
     let mut command = cargo_for(options, "build")?;
-    command
-        .args(["--release", "--locked"])
-        .args(options)
-        .current_dir(root().join("firmware-nano33"))
-        .env("CARGO_TARGET_DIR", &target);
+    command.args(["--release", "--locked"]).args(options);
+    if has_second_stage(options) {
+        // Both are built by one command, because with other features their common dependencies would be built twice.
+        command.args(["-p", "firmware-nano33", "-p", "nano33-stage"]);
+        if is_xiao(name) {
+            command.args(["--features", "nano33-stage/xiao"]);
+        }
+    }
+    command.current_dir(root().join("firmware-nano33")).env("CARGO_TARGET_DIR", &target);
     sh(&mut command)?;
     let image = image(name);
     let last = image.with_file_name("nano33");

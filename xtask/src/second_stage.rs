@@ -8,24 +8,16 @@ use anyhow::{Context, Result, ensure};
 use shared_board::update::{IMAGE_MAX, KEY_AT, KEY_BYTES, SLOT_A, TAIL_BYTES, Trailer};
 use shared_proto::message::Board;
 
-use crate::steps::sh;
-use crate::toolchain::{Target, cargo};
-use crate::{firmware_nano33, root, target_dir};
+use crate::{firmware_nano33, root};
 
 /// Start address of the second stage on a Nano 33.
 const NANO33_ORIGIN: u32 = 0x1_0000;
 
-/// Builds the second stage of an image, and returns its path, which is in the same folder as the image.
+/// Keeps the second stage that was built together with an image. Returns its path, which is in the same folder as the image.
 ///
 /// # Errors
-/// Fails if the second stage does not build.
-pub fn build(image: &Path, is_xiao: bool) -> Result<PathBuf> {
-    let mut command = cargo(Target::Thumb, "build")?;
-    command.args(["--release", "--locked", "-p", "nano33-stage"]);
-    if is_xiao {
-        command.args(["--features", "nano33-stage/xiao"]);
-    }
-    sh(command.current_dir(root().join("firmware-nano33")).env("CARGO_TARGET_DIR", target_dir()))?;
+/// Fails if the second stage is not there.
+pub fn keep(image: &Path) -> Result<PathBuf> {
     let mut name = image.file_name().unwrap_or_default().to_owned();
     name.push("-stage");
     let stage = image.with_file_name(name);

@@ -8,8 +8,8 @@ use shared_proto::frame::{parse_host, parse_left_request};
 use shared_proto::message::LeftRequest;
 
 use super::memory;
-use crate::link::INBOX;
-use crate::{board, update};
+use crate::link::{INBOX, WayOut};
+use crate::{board, radio, update};
 
 /// Answers for ever.
 pub async fn run<F: MappedFlash>(log: EepromLog<F>, images: ImageStore<impl MappedFlash>) -> ! {
@@ -30,6 +30,9 @@ async fn answer(mut images: ImageStore<impl MappedFlash>) -> ! {
             if request == LeftRequest::HelloRequest {
                 // If the mark is not stored, the laptop's question about the image says so.
                 images.said_hello().await;
+                if link == WayOut::Ble {
+                    radio::say_paired();
+                }
             }
         } else if let Ok(message) = parse_host(&received.payload)
             && let Some(request) = ModelRequest::of(&message)

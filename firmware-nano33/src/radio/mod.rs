@@ -11,4 +11,4 @@ mod trouble;
 #[cfg(feature = "ble")]
 pub use softdevice::{Radio, RadioFlash, cable};
 #[cfg(feature = "trouble")]
-pub use trouble::{Radio, RadioFlash, cable};
+pub use trouble::{Radio, RadioFlash, cable, passkey, say_paired, say_passkey};

@@ -8,8 +8,10 @@ use embassy_nrf::peripherals::USBD;
 use embassy_nrf::usb::vbus_detect::SoftwareVbusDetect;
 use nano33_radio::trouble::{self, Parts, SlotFlash};
 use shared_board::bonds::BondLog;
+use shared_board::say_pairing;
+use shared_proto::message::PairingKind;
 
-pub use nano33_radio::trouble::cable;
+pub use nano33_radio::trouble::{cable, passkey};
 
 use crate::link::{Frame, Inlet, Outbox, WayOut};
 use crate::storage::{BONDS_BYTES, BONDS_START, Flash, FlashFailed, Region};
@@ -38,6 +40,23 @@ impl trouble::Outbox for Outbox {
     fn poll_next(&self, context: &mut Context<'_>) -> Poll<Frame> {
         Outbox::poll_next(self, context)
     }
+}
+
+/// Sends the passkey over both cables. It must never leave over the air.
+pub fn say_passkey(passkey: u32) {
+    for mut cable in [WayOut::Usb, WayOut::Uart] {
+        say_pairing(PairingKind::Passkey, passkey, &mut cable);
+    }
+}
+
+/// Tells the laptop over Bluetooth how it was paired.
+pub fn say_paired() {
+    let kind = match trouble::paired() {
+        Some(trouble::Pairing::JustWorks) => PairingKind::JustWorks,
+        Some(trouble::Pairing::PasskeyTyped) => PairingKind::PasskeyTyped,
+        None => return,
+    };
+    say_pairing(kind, 0, &mut WayOut::Ble);
 }
 
 /// The running radio.

@@ -16,6 +16,16 @@ use shared_board::update::{
 use shared_dsp::right::network::crc32;
 
 unsafe extern "C" {
+    /// The default handler of `cortex-m-rt`.
+    fn DefaultHandler();
+}
+
+/// The table of interrupts. The second stage enables none, so the table needs no entries, but the linker wants one.
+#[unsafe(link_section = ".vector_table.interrupts")]
+#[unsafe(no_mangle)]
+pub static __INTERRUPTS: [unsafe extern "C" fn(); 1] = [DefaultHandler];
+
+unsafe extern "C" {
     #[link_name = "_base"]
     static BASE: u8;
 }

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Result, bail, ensure};
-use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::links::SerialSettings;
@@ -12,9 +11,11 @@ use host_bridge::one_handed::SINCE_MINOR;
 use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
+use host_bridge::{describe, doubt};
 use shared_dsp::right::network::crc32;
 use shared_proto::message::{
-    About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, ResetCause, Sensor, Status,
+    About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Pairing, ResetCause,
+    Sensor, Status,
 };
 
 use super::ports::{check_name, read_config, settings};
@@ -99,6 +100,7 @@ struct Heard {
     who: Who,
     model: Option<ModelNeeds>,
     about: Option<About>,
+    pairing: Option<Pairing>,
     survey: Survey,
     status: Option<Status>,
     faults: Vec<Fault>,
@@ -154,6 +156,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         who,
         model: None,
         about: None,
+        pairing: None,
         survey: Survey::default(),
         status: None,
         faults: Vec::new(),
@@ -194,6 +197,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
             }
             Some((_, Said::Model(model))) => heard.model = Some(model),
             Some((_, Said::About(about))) => heard.about = Some(about),
+            Some((_, Said::Pairing(pairing))) => heard.pairing = Some(pairing),
             Some((_, Said::Status(status))) => heard.status = Some(status),
             Some((_, Said::Fault(fault))) => {
                 heard.faults.retain(|known| known.kind != fault.kind);
@@ -254,6 +258,9 @@ fn lines(heard: &Heard) -> Vec<String> {
             format!("newest state {} ms old", heard.end_ms.saturating_sub(at_ms))
         });
         lines.push(format!("Bluetooth: {dbm} dBm when found; {age}"));
+    }
+    if let Some(pairing) = heard.pairing {
+        lines.push(describe::pairing(pairing));
     }
     if let Some(status) = heard.status {
         lines.push(format!(

@@ -153,7 +153,11 @@ impl<const A: usize> FeatureWindow<A> {
 
     /// Forgets all samples.
     pub fn reset(&mut self) {
-        *self = Self::new();
+        // A whole new window would be built on the stack first, where a board has no room for it.
+        let Self { stage, staged, axes, features, block, frame, hops, replaced, tainted } = self;
+        axes.iter_mut().for_each(|axis| *axis = Axis::ZERO);
+        (*stage, *features) = ([[0.0; A]; HOP], [[0.0; FEATURES_PER_AXIS]; A]);
+        (*staged, *block, *frame, *hops, *replaced, *tainted) = (0, 0, 0, 0, 0, 0);
     }
 }
 

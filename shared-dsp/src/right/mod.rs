@@ -20,6 +20,7 @@ use crate::right::kind::FeatureKind;
 use crate::right::movement::{MovementConfig, MovementDecision};
 use crate::right::network::{MAX_LABELS, Model};
 use crate::right::slow::SlowWindow;
+use core::borrow::BorrowMut;
 use core::fmt;
 
 /// The reason why a model cannot run on a hand.
@@ -97,30 +98,48 @@ impl RightOutput {
 
 /// All signal processing of the right hand for samples with `A` axes.
 /// The model may read fewer axes ([`FeatureKind::runs_on`]).
+///
+/// `W` holds the windows: their value, or a reference to them.
+/// A board lends static windows, because a value of their size would be built and moved on its stack.
 #[derive(Clone, Debug)]
-pub struct RightHand<'m, const A: usize> {
+pub struct RightHand<'m, const A: usize, W = Windows<A>> {
     model: Model<'m>,
-    pipeline: Pipeline<A>,
+    windows: W,
+    decision: Decision,
     output: RightOutput,
     in_hop: usize,
 }
 
-/// The stages before and after the network, which the model's recipe determines.
+/// The stage before the network, which the model's recipe determines.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
-enum Pipeline<const A: usize> {
+pub enum Windows<const A: usize> {
     /// Recipes 1 and 2.
-    PerAxis { window: FeatureWindow<A>, decision: GestureDecision },
+    PerAxis(FeatureWindow<A>),
     /// Recipe 3.
-    Aligned { window: AlignedWindow<A>, slow: SlowWindow<A>, decision: MovementDecision },
+    Aligned(AlignedWindow<A>, SlowWindow<A>),
 }
 
-impl<const A: usize> Pipeline<A> {
+/// The stage after the network.
+#[derive(Clone, Debug)]
+enum Decision {
+    /// Recipes 1 and 2.
+    PerAxis(GestureDecision),
+    /// Recipe 3.
+    Aligned(MovementDecision),
+}
+
+impl<const A: usize> Windows<A> {
+    /// Empty windows for any recipe. All their bytes are zero, so that static windows take no flash.
+    pub const fn new() -> Self {
+        Self::PerAxis(FeatureWindow::new())
+    }
+
     /// Adds a sample. Returns true if this completes new features.
     fn push(&mut self, sample: &[f32; A]) -> bool {
         match self {
-            Self::PerAxis { window, .. } => window.push(sample),
-            Self::Aligned { window, slow, .. } => {
+            Self::PerAxis(window) => window.push(sample),
+            Self::Aligned(window, slow) => {
                 slow.push(sample);
                 window.push(sample)
             }
@@ -128,16 +147,22 @@ impl<const A: usize> Pipeline<A> {
     }
 
     /// Runs the network and the decision on the newest features.
-    fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<GestureEvent> {
-        // `RightHand::new` has compared the lengths, so this call cannot fail. If it did, the scores would remain unchanged.
-        match self {
-            Self::PerAxis { window, decision } => {
+    fn decide(
+        &mut self,
+        model: &Model<'_>,
+        decision: &mut Decision,
+        scores: &mut [i8],
+    ) -> Option<GestureEvent> {
+        // `RightHand::with_windows` has compared the lengths, so classifying cannot fail.
+        // If it did, the scores would remain unchanged.
+        match (self, decision) {
+            (Self::PerAxis(window), Decision::PerAxis(decision)) => {
                 // If the hand has more axes than the model, the model reads only the first axes.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)
             }
-            Self::Aligned { window, slow, decision } => {
+            (Self::Aligned(window, slow), Decision::Aligned(decision)) => {
                 let _ = model.classify_features(window.features(), scores);
                 let mut slow_scores = [i8::MIN; MAX_LABELS];
                 let slow_scores = slow.new_features().map(|features| {
@@ -146,40 +171,53 @@ impl<const A: usize> Pipeline<A> {
                 });
                 decision.step(scores, slow_scores, window.movement())
             }
+            // `RightHand::with_windows` has chosen both for the same recipe.
+            _ => None,
         }
     }
 
     fn reset(&mut self) {
         match self {
-            Self::PerAxis { window, decision } => {
-                window.reset();
-                decision.reset();
-            }
-            Self::Aligned { window, slow, decision } => {
+            Self::PerAxis(window) => window.reset(),
+            Self::Aligned(window, slow) => {
                 window.reset();
                 slow.reset();
-                decision.reset();
             }
         }
     }
 
     fn replaced(&self) -> u32 {
         match self {
-            Self::PerAxis { window, .. } => window.replaced(),
-            Self::Aligned { window, .. } => window.replaced(),
+            Self::PerAxis(window) => window.replaced(),
+            Self::Aligned(window, _) => window.replaced(),
         }
     }
 
     fn is_tainted(&self) -> bool {
         match self {
-            Self::PerAxis { window, .. } => window.is_tainted(),
-            Self::Aligned { window, slow, .. } => window.is_tainted() || slow.is_tainted(),
+            Self::PerAxis(window) => window.is_tainted(),
+            Self::Aligned(window, slow) => window.is_tainted() || slow.is_tainted(),
+        }
+    }
+}
+
+impl<const A: usize> Default for Windows<A> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Decision {
+    fn reset(&mut self) {
+        match self {
+            Self::PerAxis(decision) => decision.reset(),
+            Self::Aligned(decision) => decision.reset(),
         }
     }
 }
 
 impl<'m, const A: usize> RightHand<'m, A> {
-    /// Creates a hand that runs the given model.
+    /// Creates a hand that runs the given model, with windows of its own.
     ///
     /// `config` applies to models of recipes 1 and 2.
     /// Models of recipe 3 use their own decision ([`crate::right::movement`]) with its default values.
@@ -187,6 +225,16 @@ impl<'m, const A: usize> RightHand<'m, A> {
     /// # Errors
     /// Fails if the model is for other samples or windows.
     pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
+        Self::with_windows(model, config, Windows::new())
+    }
+}
+
+impl<'m, const A: usize, W: BorrowMut<Windows<A>>> RightHand<'m, A, W> {
+    /// Like [`RightHand::new`], but with the given windows, which must be new.
+    ///
+    /// # Errors
+    /// Fails if the model is for other samples or windows.
+    pub fn with_windows(model: Model<'m>, config: DecisionConfig, windows: W) -> Result<Self, ModelMismatch> {
         let info = model.info();
         if !info.recipe.runs_on(info.axes, A) {
             return Err(ModelMismatch::Axes { model: info.axes, hand: A });
@@ -206,28 +254,26 @@ impl<'m, const A: usize> RightHand<'m, A> {
             scores: [i8::MIN; MAX_LABELS],
             label_count: info.label_count as u8,
         };
-        Ok(Self {
-            pipeline: match info.recipe {
-                FeatureKind::Raw | FeatureKind::LogPower => Pipeline::PerAxis {
-                    window: FeatureWindow::new(),
-                    decision: GestureDecision::new(info.labels(), config),
-                },
-                FeatureKind::Aligned => Pipeline::Aligned {
-                    window: AlignedWindow::new(),
-                    slow: SlowWindow::new(),
-                    decision: MovementDecision::new(info.labels(), MovementConfig::for_axes(A)),
-                },
-            },
-            model,
-            output,
-            in_hop: 0,
-        })
+        let decision = match info.recipe {
+            FeatureKind::Raw | FeatureKind::LogPower => {
+                Decision::PerAxis(GestureDecision::new(info.labels(), config))
+            }
+            FeatureKind::Aligned => {
+                Decision::Aligned(MovementDecision::new(info.labels(), MovementConfig::for_axes(A)))
+            }
+        };
+        let mut hand = Self { model, windows, decision, output, in_hop: 0 };
+        if matches!(hand.decision, Decision::Aligned(_)) {
+            *hand.windows.borrow_mut() = Windows::Aligned(AlignedWindow::new(), SlowWindow::new());
+        }
+        Ok(hand)
     }
 
     /// Adds a sample at the model's rate (in m/s², deg/s, µT), with its time.
     /// Returns the state once per hop, even before the window is full.
     pub fn push(&mut self, sample: &[f32; A], time_ms: u32) -> Option<&RightOutput> {
-        let ready = self.pipeline.push(sample);
+        let windows = self.windows.borrow_mut();
+        let ready = windows.push(sample);
         self.in_hop += 1;
         if self.in_hop < HOP {
             return None;
@@ -236,11 +282,11 @@ impl<'m, const A: usize> RightHand<'m, A> {
         let output = &mut self.output;
         output.window_end_ms = time_ms;
         output.full = ready;
-        output.replaced = self.pipeline.is_tainted();
+        output.replaced = windows.is_tainted();
         output.is_event = false;
         if ready {
             let scores = &mut output.scores[..self.model.info().label_count];
-            if let Some(event) = self.pipeline.decide(&self.model, scores) {
+            if let Some(event) = windows.decide(&self.model, &mut self.decision, scores) {
                 output.events = output.events.wrapping_add(1);
                 output.is_event = true;
                 output.label = event.label;
@@ -253,7 +299,8 @@ impl<'m, const A: usize> RightHand<'m, A> {
 
     /// Reports missing samples. Window and decision start again; past events and their counter remain.
     pub fn gap(&mut self) {
-        self.pipeline.reset();
+        self.windows.borrow_mut().reset();
+        self.decision.reset();
         self.in_hop = 0;
         self.output.full = false;
         self.output.is_event = false;
@@ -271,6 +318,6 @@ impl<'m, const A: usize> RightHand<'m, A> {
 
     /// Number of NaN values since start or the last gap.
     pub fn replaced(&self) -> u32 {
-        self.pipeline.replaced()
+        self.windows.borrow().replaced()
     }
 }

@@ -2,7 +2,7 @@
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
 use shared_proto::message::{
-    About, Ack, Board as BoardKind, BoardMessage, Fault, Hello, HostMessage, LeftState, Status,
+    About, Ack, Board as BoardKind, BoardMessage, Fault, Hello, HostMessage, LeftState, Pairing, Status,
 };
 
 use super::air_host::AirHost;
@@ -60,6 +60,8 @@ pub struct Heard {
     pub raw: Vec<(u32, Vec<i16>)>,
     /// The board's newest description of its hardware.
     pub about: Option<About>,
+    /// What the board says about its pairing.
+    pub pairings: Vec<Pairing>,
     /// Replies to pings.
     pub pongs: usize,
 }
@@ -284,6 +286,7 @@ impl Heard {
                 self.raw.push((raw.first_sample, counts));
             }
             BoardMessage::About(about) => self.about = Some(about),
+            BoardMessage::Pairing(pairing) => self.pairings.push(pairing),
             BoardMessage::ModelInfo(_) | BoardMessage::RawAdc(_) | BoardMessage::Tilt(_) => {}
         }
     }

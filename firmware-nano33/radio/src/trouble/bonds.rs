@@ -1,8 +1,9 @@
 //! Decides who may read states and write: only laptops that have bonded. Their keys are kept in flash.
 //!
-//! Pairing uses LE Secure Connections, "just works".
-//! "Just works" protects against listeners.
-//! It does not protect against an attacker nearby who answers in place of the laptop.
+//! Pairing uses LE Secure Connections.
+//! If digits can be typed at the laptop, its owner types a passkey that the board shows.
+//! Otherwise, pairing is "just works", which protects against listeners.
+//! "Just works" does not protect against an attacker nearby who answers in place of the laptop.
 //! Any laptop may bond while no bond exists, and for [`PAIRING`] after each start.
 //! Later, only laptops whose keys are stored are trusted.
 

@@ -21,7 +21,7 @@ use trouble_host::prelude::{
 };
 
 use super::bonds::{Bonds, from_keys};
-use super::{Controller, Outbox, Stack};
+use super::{Controller, Outbox, Stack, pairing};
 use crate::{ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION};
 
 /// Maximum number of bytes that a laptop writes at once.
@@ -30,6 +30,8 @@ type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 
 /// A laptop that may bond gets this much time, because its owner must find a question and answer it.
 const WHILE_PAIRING: Duration = Duration::from_secs(30);
+/// A laptop whose owner types a passkey gets this much time. The laptop itself waits 30 s for the passkey.
+const WHILE_TYPING: Duration = Duration::from_secs(60);
 /// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
 /// A piece that was not sent within this time (one hop) is late.
@@ -140,6 +142,7 @@ impl Visit {
     async fn serve(&self, stack: &'static Stack) {
         select(self.receive(), join3(self.send(), self.watch(), self.negotiate(stack))).await;
         self.outbox.set_open(false);
+        pairing::clear();
     }
 
     async fn receive(&self) {
@@ -151,8 +154,10 @@ impl Visit {
                 GattConnectionEvent::PairingComplete { bond: Some(keys), .. } => {
                     let bond = from_keys(&keys);
                     self.bonds.keep(bond);
-                    self.trusted.set(Some(bond));
+                    self.trust(bond);
                 }
+                GattConnectionEvent::PassKeyDisplay(passkey) => pairing::show(passkey.value()),
+                GattConnectionEvent::PairingFailed(_) => pairing::clear(),
                 // If a laptop does not store its keys, they are useless here.
                 GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
                 GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
@@ -171,14 +176,20 @@ impl Visit {
 
     /// A laptop with stored keys has returned, so its subscription is restored.
     fn welcome(&self, bond: Option<Bond>) {
-        self.trusted.set(bond);
+        self.trusted.set(None);
         if let Some(bond) = bond {
+            self.trust(bond);
             let value = [u8::from(bond.listens), 0];
             if let Some(handle) = self.server.hand.out.cccd_handle {
                 let _ = self.link.set(&Listening(handle), &value);
             }
             self.outbox.set_open(bond.listens);
         }
+    }
+
+    fn trust(&self, bond: Bond) {
+        self.trusted.set(Some(bond));
+        pairing::set_paired(bond.authenticated);
     }
 
     async fn take(&self, write: WriteEvent<'static, 'static, DefaultPacketPool>) {
@@ -253,7 +264,11 @@ impl Visit {
         loop {
             let may_bond = self.bonds.may_bond();
             let _ = self.link.raw().set_bondable(may_bond);
-            let patience = if may_bond { WHILE_PAIRING } else { STRANGER };
+            let patience = match pairing::passkey() {
+                Some(_) => WHILE_TYPING,
+                None if may_bond => WHILE_PAIRING,
+                None => STRANGER,
+            };
             if self.trusted.get().is_some() {
                 waited = Duration::from_secs(0);
             } else if waited >= patience {

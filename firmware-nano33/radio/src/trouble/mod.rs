@@ -8,6 +8,7 @@ mod bonds;
 mod flash;
 mod guard;
 mod link;
+mod pairing;
 mod power;
 
 use core::task::{Context, Poll};
@@ -33,6 +34,7 @@ use self::bonds::Bonds;
 pub use self::bonds::bonded;
 pub use self::flash::{NoSlot, SlotFlash};
 pub use self::link::{Payload, written};
+pub use self::pairing::{Pairing, paired, passkey};
 use self::power::PowerHandler;
 pub use self::power::cable;
 use crate::{NAME, PAYLOAD};
@@ -148,7 +150,8 @@ impl Radio {
         let stack = &*STACK.init(
             trouble_host::new(guard::Guarded::new(controller), RESOURCES.init(Resources::new()))
                 .set_random_address(address())
-                .set_io_capabilities(IoCapabilities::NoInputNoOutput)
+                // A laptop on which digits can be typed pairs with a passkey, and others by "just works".
+                .set_io_capabilities(IoCapabilities::DisplayOnly)
                 .build(),
         );
         let server = match link::Server::new_default(NAME) {

@@ -4,7 +4,26 @@ use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use crate::observe::SessionEvent;
 use crate::safety::{HaltReason, Hand, Ignored, State};
 use crate::session::Summary;
+use shared_proto::message::{Pairing, PairingKind};
 use shared_words::Heading;
+
+/// Explains how a laptop pairs or has paired with a board over Bluetooth.
+pub fn pairing(pairing: Pairing) -> String {
+    match pairing.kind {
+        PairingKind::Passkey => {
+            format!("type {:06} where a laptop pairs with this board", pairing.passkey % 1_000_000)
+        }
+        PairingKind::JustWorks => {
+            "Bluetooth paired by \"just works\": nobody compared a number, so somebody nearby may have paired \
+             instead; pair again with a passkey to rule this out"
+                .to_owned()
+        }
+        PairingKind::PasskeyTyped => "Bluetooth paired with a passkey".to_owned(),
+        PairingKind::Unknown(number) => {
+            format!("Bluetooth paired in a way that is not known here ({number}): update host-bridge")
+        }
+    }
+}
 
 /// Formats one line without its time.
 pub fn text(event: &SessionEvent) -> String {
@@ -32,6 +51,7 @@ pub fn text(event: &SessionEvent) -> String {
             line
         }
         EventKind::BoardFault { hand, fault } => format!("{hand} hand: fault {fault}"),
+        EventKind::Pairing { hand, text } => format!("{hand} hand: {text}"),
         EventKind::HandHealth { hand, reasons, .. } if reasons.is_empty() => {
             format!("{hand} hand: well again")
         }

@@ -19,7 +19,8 @@ use shared_proto::clock::{BoardClock, DRIFT_PPM};
 use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
-    About, Ack, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState, RightTilt,
+    About, Ack, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pairing, Pong, RightState,
+    RightTilt,
 };
 use shared_proto::version;
 
@@ -93,6 +94,8 @@ pub enum Heard {
     Tilt(TiltReport),
     /// A problem that the user should know about.
     Fault(Fault),
+    /// How a laptop pairs or has paired over Bluetooth, if this is new.
+    Pairing(Pairing),
     /// Answer to a request.
     Ack(Ack),
 }
@@ -163,6 +166,7 @@ pub struct HandLink {
     /// Minor version of the board's wire protocol, and its hardware.
     minor: u8,
     about: Option<About>,
+    pairing: Option<Pairing>,
     counters: LinkCounters,
     overtaken_in_a_row: u32,
     /// Sequence number and board time of the newest right state, until its tilt arrives.
@@ -194,6 +198,7 @@ impl HandLink {
             model: None,
             minor: 0,
             about: None,
+            pairing: None,
             counters: LinkCounters::default(),
             overtaken_in_a_row: 0,
             waits_for_tilt: None,
@@ -328,6 +333,9 @@ impl HandLink {
             BoardMessage::Tilt(tilt) => self.tilt(tilt, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
             BoardMessage::Fault(fault) => Some(Heard::Fault(fault)),
+            BoardMessage::Pairing(pairing) => {
+                (self.pairing.replace(pairing) != Some(pairing)).then_some(Heard::Pairing(pairing))
+            }
             BoardMessage::Pong(pong) => {
                 self.pong(&pong, now_ms);
                 None
@@ -376,7 +384,7 @@ impl HandLink {
         self.middle.rebase();
         self.gestures.rebase();
         (self.overtaken_in_a_row, self.waits_for_tilt) = (0, None);
-        (self.model, self.about) = (None, None);
+        (self.model, self.about, self.pairing) = (None, None, None);
         self.minor = hello.minor;
         self.identity = Some(identity.clone());
         Some(Heard::Started(identity))

@@ -7,8 +7,8 @@ use std::time::Duration;
 use shared_dsp::left::AdcCounts;
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{
-    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, RawAdc, RightTilt,
-    Status,
+    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pairing, Pong, RawAdc,
+    RightTilt, Status,
 };
 use shared_proto::version;
 
@@ -56,6 +56,8 @@ pub enum Said {
     RawLeft(RawAdc),
     /// The mean acceleration of a right hand's hop.
     Tilt(RightTilt),
+    /// How a laptop pairs or has paired over Bluetooth.
+    Pairing(Pairing),
     /// Counters.
     Status(Status),
     /// Trouble.
@@ -454,6 +456,7 @@ pub(crate) fn owned(message: &BoardMessage<'_>) -> Option<Said> {
             return raw.counts.iter().all(|sum| *sum <= AdcCounts::MAX).then_some(Said::RawLeft(*raw));
         }
         BoardMessage::Tilt(tilt) => Said::Tilt(*tilt),
+        BoardMessage::Pairing(pairing) => Said::Pairing(*pairing),
         BoardMessage::Status(status) => Said::Status(*status),
         BoardMessage::Fault(fault) => Said::Fault(*fault),
         BoardMessage::Pong(pong) => Said::Pong(*pong),

@@ -50,6 +50,13 @@ pub enum EventKind {
         /// The problem, as the board reports it.
         fault: String,
     },
+    /// A board said how a laptop pairs or has paired with it over Bluetooth.
+    Pairing {
+        /// Which hand.
+        hand: Hand,
+        /// What its owner should know.
+        text: String,
+    },
     /// The flags of a hand's health changed.
     HandHealth {
         /// Which.

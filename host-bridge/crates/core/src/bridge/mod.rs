@@ -22,7 +22,6 @@ use judged::{rests, without_figures};
 use wearer::{NEARLY_SHOWN_MS, Seen};
 
 use crate::almost::Almost;
-use crate::doubt;
 use crate::engine::FOREIGN_REQUESTS;
 use crate::intent::{Caps, MotionMap, SpeedRules};
 use crate::jog::{JogRules, Lift};
@@ -30,6 +29,7 @@ use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::one_handed::TiltHand;
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
 use crate::tilt::TiltDrive;
+use crate::{describe, doubt};
 
 /// The bridge.
 #[derive(Clone, Debug)]
@@ -326,6 +326,9 @@ impl Bridge {
             Heard::Fault(fault) => {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
+            }
+            Heard::Pairing(pairing) => {
+                self.note(now_ms, EventKind::Pairing { hand, text: describe::pairing(pairing) });
             }
             // Answers to other programs' requests must not hide the answers to the session's own requests.
             Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => {

@@ -24,7 +24,8 @@ pub(super) fn how_to_pair(address: &str) -> String {
         format!("pair it once in the system's settings, or with `bluetoothctl pair {address}`")
     };
     format!(
-        "{how}. The board takes a new laptop only in the two minutes after it is switched on, unless it knows none"
+        "{how}. The board takes a new laptop only in the two minutes after it is switched on, unless it knows none. If \
+         the system asks for six digits, the board's light shows them, and so does `host-bridge doctor` on its USB port"
     )
 }
 
