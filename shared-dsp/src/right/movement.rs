@@ -212,6 +212,7 @@ impl MovementDecision {
 
     /// Adds the int8 scores of a hop, one per label, and those of the slow window if they are new.
     /// A probability is (score + 128) / 256. If means are equal, the first label wins. Empty scores are ignored.
+    #[inline(never)]
     pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<GestureEvent> {
         let config = self.config;
         self.scores.push(scores);
