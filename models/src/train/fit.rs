@@ -31,7 +31,7 @@ pub struct Steps {
     /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
     /// Number of networks that start from different weights and are merged into one network.
-    /// Recipe `aligned` defines their widths.
+    /// Recipe `aligned` defines their widths, and the network that learns from them.
     pub members: usize,
     /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
