@@ -40,10 +40,9 @@ pub const WINDOW: usize = 200;
 /// Number of samples between the starts of two windows on the board (80 ms).
 pub const HOP: usize = 8;
 
-/// Number of networks that recipe `aligned` trains from different starts and merges into one.
-pub const ALIGNED_MEMBERS: usize = 4;
-/// Widths of the hidden layers of each of these merged networks.
+/// Number of networks that recipe `aligned` trains from different starts. Together they teach the network that boards run.
+pub const ALIGNED_MEMBERS: usize = 8;
+/// Widths of the hidden layers of each of these teachers.
 pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [20, 10];
-/// Widths of the hidden layers of the merged network. A test measures its cost on boards.
-pub const ALIGNED_HIDDEN: [usize; 2] =
-    [ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[0], ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[1]];
+/// Widths of the hidden layers of the network that boards run. A test measures its cost on boards.
+pub const ALIGNED_HIDDEN: [usize; 2] = [60, 30];

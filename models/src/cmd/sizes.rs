@@ -22,11 +22,11 @@ pub struct Cmd {
     /// Number of models per person, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
-    /// How many networks of 20 and 10 units are merged into one (a board's: 4)
+    /// How many networks of 20 and 10 units are merged into one
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,2,3,4")]
     members: Vec<usize>,
-    /// Also smaller networks that learn the probabilities of the merged one: hidden widths, such as 40-20
-    #[arg(long, value_delimiter = ',', value_name = "N-N,...")]
+    /// Networks that learn from eight merged ones: hidden widths (a board's: 60-30)
+    #[arg(long, value_delimiter = ',', value_name = "N-N,...", default_value = "40-20,60-30")]
     students: Vec<Student>,
     #[command(flatten)]
     axes: super::Axes,
@@ -77,7 +77,8 @@ impl Cmd {
             );
             let usual = self.short.aligned();
             let merged = self.members.iter().map(|&members| {
-                let recipe = Aligned { steps: Steps { members, ..usual.steps }, ..usual.clone() };
+                let recipe =
+                    Aligned { steps: Steps { members, ..usual.steps }, student: None, ..usual.clone() };
                 ("", recipe)
             });
             let students = self

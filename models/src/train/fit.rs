@@ -31,7 +31,7 @@ pub struct Steps {
     /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
     /// Number of networks that start from different weights and are merged into one network.
-    /// Recipe `aligned` defines their widths.
+    /// Recipe `aligned` defines their widths, and the network that learns from them.
     pub members: usize,
     /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
@@ -270,12 +270,7 @@ impl Fitting {
         let rows = batch.chunks_exact(self.inputs).zip(self.made.chunks_exact_mut(self.outputs));
         for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
             made.copy_from_slice(&self.biases.values);
-            for (value, weights) in row.iter().zip(self.used.chunks_exact(self.outputs)) {
-                // After a ReLU, half of the values are 0.
-                if *value != 0.0 {
-                    made.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
-                }
-            }
+            add_products(row, &self.used, made);
             let lowest = if self.relu { 0.0 } else { f32::NEG_INFINITY };
             let (low, high) = range.unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
             for (value, passes) in made.iter_mut().zip(passes) {
@@ -291,29 +286,20 @@ impl Fitting {
     /// If requested, the method also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
-        for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {
-            for (value, sums) in row.iter().zip(self.weights.gradient.chunks_exact_mut(self.outputs)) {
-                if *value != 0.0 {
-                    sums.iter_mut().zip(gradient).for_each(|(sum, gradient)| *sum += value * gradient);
-                }
-            }
+        let columns = turned(batch, self.inputs);
+        let of_inputs = self.weights.gradient.chunks_exact_mut(self.outputs);
+        for (column, sums) in columns.chunks_exact((batch.len() / self.inputs.max(1)).max(1)).zip(of_inputs) {
+            add_products(column, of_outputs, sums);
+        }
+        for gradient in of_outputs.chunks_exact(self.outputs) {
             self.biases.gradient.iter_mut().zip(gradient).for_each(|(sum, gradient)| *sum += gradient);
         }
         let Some(to_inputs) = &mut to_inputs else { return };
-        let turned: Vec<f32> = (0..self.outputs)
-            .flat_map(|output| self.used.iter().skip(output).step_by(self.outputs).copied())
-            .collect();
+        let weights = turned(&self.used, self.outputs);
         to_inputs.clear();
         to_inputs.resize(batch.len(), 0.0);
-        for (sums, gradient) in
-            to_inputs.chunks_exact_mut(self.inputs).zip(of_outputs.chunks_exact(self.outputs))
-        {
-            for (gradient, weights) in gradient.iter().zip(turned.chunks_exact(self.inputs)) {
-                if *gradient != 0.0 {
-                    sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += gradient * weight);
-                }
-            }
-        }
+        let rows = to_inputs.chunks_exact_mut(self.inputs).zip(of_outputs.chunks_exact(self.outputs));
+        rows.for_each(|(sums, gradient)| add_products(gradient, &weights, sums));
     }
 
     /// Returns the average over the steps as a plain layer.
@@ -326,6 +312,31 @@ impl Fitting {
             relu: self.relu,
         }
     }
+}
+
+/// Adds to each of `sums` its products: values × the column of a matrix that has one row per value.
+/// A sum adds its products in the order of the values. Blocks of sums stay in registers meanwhile, which changes no bit.
+fn add_products(values: &[f32], matrix: &[f32], sums: &mut [f32]) {
+    fn block<const N: usize>(values: &[f32], matrix: &[f32], width: usize, at: &mut usize, sums: &mut [f32]) {
+        while let Some(place) = sums.get_mut(*at..).and_then(|sums| sums.first_chunk_mut::<N>()) {
+            let mut block = *place;
+            for (value, row) in values.iter().zip(matrix.chunks_exact(width)) {
+                let Some(row) = row[*at..].first_chunk::<N>() else { return };
+                block.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
+            }
+            *place = block;
+            *at += N;
+        }
+    }
+    let (width, mut at) = (sums.len(), 0);
+    block::<16>(values, matrix, width, &mut at, sums);
+    block::<4>(values, matrix, width, &mut at, sums);
+    block::<1>(values, matrix, width, &mut at, sums);
+}
+
+/// Turns rows of this width into columns.
+fn turned(rows: &[f32], width: usize) -> Vec<f32> {
+    (0..width).flat_map(|column| rows.iter().skip(column).step_by(width).copied()).collect()
 }
 
 fn rounded(value: f32, step: f32) -> f32 {

@@ -5,7 +5,9 @@
 //!
 //! Several networks that start differently are merged into one network.
 //! The merged network's logits are the mean of its members' logits.
-//! For unknown people, the networks make different errors. The last steps simulate int8 rounding (Jacob et al., 2018).
+//! For unknown people, the networks make different errors.
+//! A smaller network can then learn the probabilities of the merged one (Hinton et al., 2015).
+//! The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -16,6 +18,7 @@ use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
 /// Trains networks of these hidden widths on labelled inputs, and merges them into one network.
+/// With the hidden widths of a `student`, that network learns from the merged one and replaces it.
 /// Rare labels count as much as common labels, and `limit` is the maximum input. There must be rows.
 pub(super) fn fit(
     rows: &[Labelled],
@@ -24,16 +27,22 @@ pub(super) fn fit(
     plan: &Steps,
     limit: f32,
     seed: u64,
+    student: Option<[usize; 2]>,
 ) -> Vec<FloatLayer> {
     let wanted = Wanted::labels(rows, labels, plan);
     let member = |index: usize| new(rows, &wanted, hidden, plan, RandomStream::Member(index).of(seed));
     let members: Vec<_> = (0..plan.members.max(1)).into_par_iter().map(member).collect();
-    finished(merged(&members), rows, &wanted, plan, limit, seed)
+    // The teacher is finished, too: its last steps train its members together.
+    let merged = finished(merged(&members), rows, &wanted, plan, limit, seed);
+    match student {
+        Some(hidden) => distil(rows, labels, &merged, &hidden, plan, limit, seed),
+        None => merged,
+    }
 }
 
 /// Trains a network of these hidden widths to give the probabilities of a trained network, the teacher.
 /// The teacher's probabilities say more than a label does: which other gestures a window resembles, and how much.
-pub(super) fn distil(
+fn distil(
     rows: &[Labelled],
     labels: usize,
     teacher: &[FloatLayer],

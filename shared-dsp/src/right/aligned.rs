@@ -69,18 +69,46 @@ pub const fn feature_count(axes: usize) -> usize {
 /// The means of each hop along one axis.
 type Series = [f32; HOPS];
 
-/// Three channels of a window in the frame of the sensor.
+/// Three channels of a window, first in the frame of the sensor.
 struct Triad {
     mean: [f32; 3],
     /// Mean products of the channels' deviations from their means.
     products: [[f32; 3]; 3],
-    /// See [`AlignedWindow::spectrum`].
+    /// See [`spectrum`]. [`describe`] turns them into the hand's frame.
     lines: [[(f32, f32); LINES]; 3],
 }
 
 impl Triad {
+    /// The place for a triad.
+    const EMPTY: Self = Self { mean: [0.0; 3], products: [[0.0; 3]; 3], lines: [[(0.0, 0.0); LINES]; 3] };
+
+    /// Computes a triad from the rings of its channels. The hop with index `oldest` is the oldest.
+    ///
+    /// This function and [`describe`] exist once for both triads and are built for size, because they are most of the code.
+    /// A triad is filled in place, because its copies would cost more than some of its sums.
+    #[inline(never)]
+    fn fill(&mut self, rings: &[Series; 3], oldest: usize) {
+        let mut centred = [[0.0; HOPS]; 3];
+        let channels = centred.iter_mut().zip(&mut self.mean).zip(&mut self.lines);
+        for (((series, mean), lines), ring) in channels.zip(rings) {
+            *mean = centre(ring, oldest, series);
+            spectrum(series, lines);
+        }
+        let [first, second, third] = &centred;
+        let (mut xx, mut yy, mut zz, mut xy, mut xz, mut yz) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        for ((&x, &y), &z) in first.iter().zip(second).zip(third) {
+            xx += x * x;
+            yy += y * y;
+            zz += z * z;
+            xy += x * y;
+            xz += x * z;
+            yz += y * z;
+        }
+        let [xx, yy, zz, xy, xz, yz] = [xx, yy, zz, xy, xz, yz].map(|sum: f32| sum * (1.0 / HOPS as f32));
+        self.products = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
+    }
+
     /// Multiplies the matrix of mean products by a vector.
-    #[inline(always)]
     fn times(&self, vector: [f32; 3]) -> [f32; 3] {
         self.products.map(|row| dot(row, vector))
     }
@@ -148,7 +176,7 @@ pub struct AlignedWindow<const A: usize> {
     /// The last valid sample.
     held: [f32; CHANNELS],
     /// Ring buffer with each channel's means of the hops.
-    bins: [Series; CHANNELS],
+    bins: [[Series; 3]; 2],
     /// Variance within each hop, summed over the axes of a triad.
     tremor: [Series; 2],
     /// Index of the oldest hop in the ring.
@@ -170,7 +198,7 @@ impl<const A: usize> AlignedWindow<A> {
             stage: [[0.0; HOP]; CHANNELS],
             staged: 0,
             held: [0.0; CHANNELS],
-            bins: [[0.0; HOPS]; CHANNELS],
+            bins: [[[0.0; HOPS]; 3]; 2],
             tremor: [[0.0; HOPS]; 2],
             oldest: 0,
             hops: 0,
@@ -209,7 +237,7 @@ impl<const A: usize> AlignedWindow<A> {
                     hop = HopTerms::new(&self.stage[channel]);
                 }
                 self.held[channel] = self.stage[channel][HOP - 1];
-                self.bins[channel][slot] = hop.mean;
+                self.bins[index][channel - 3 * index][slot] = hop.mean;
                 tremor[slot] += hop.variance;
             }
         }
@@ -218,7 +246,7 @@ impl<const A: usize> AlignedWindow<A> {
         self.tainted = if replaced > 0 { HOPS } else { self.tainted.saturating_sub(1) };
         self.replaced = self.replaced.saturating_add(replaced);
         if self.is_full() {
-            self.extract();
+            extract(&self.bins, &self.tremor, self.oldest, Self::TRIADS == 2, &mut self.features);
         }
         self.is_full()
     }
@@ -253,7 +281,7 @@ impl<const A: usize> AlignedWindow<A> {
         let count = self.hops.clamp(1, 4);
         let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
         let mut variance = 0.0;
-        for channel in &self.bins[..3] {
+        for channel in &self.bins[0] {
             let reference = channel[place(0)];
             let (mut sum, mut squares) = (0.0, 0.0);
             for back in 0..count {
@@ -264,133 +292,8 @@ impl<const A: usize> AlignedWindow<A> {
             let mean = sum / count as f32;
             variance += (squares / count as f32 - mean * mean).max(0.0);
         }
-        let [_, _, _, x, y, z] = self.bins.each_ref().map(|channel| channel[place(0)]);
+        let [x, y, z] = self.bins[1].each_ref().map(|channel| channel[place(0)]);
         Movement { acceleration: square_root(variance), rotation: square_root(x * x + y * y + z * z) }
-    }
-
-    /// Computes the triad of the three channels starting at `first`.
-    #[inline(always)]
-    fn triad(&self, first: usize) -> Triad {
-        let mut centred = [[0.0; HOPS]; 3];
-        let mut mean = [0.0; 3];
-        let mut lines = [[(0.0, 0.0); LINES]; 3];
-        for (index, series) in centred.iter_mut().enumerate() {
-            let (new, old) = self.bins[first + index].split_at(self.oldest.min(HOPS - 1));
-            // The values are computed relative to the oldest hop, so that a constant has no effect.
-            let start = old[0];
-            let mut sum = 0.0;
-            for (place, value) in series.iter_mut().zip(old.iter().chain(new)) {
-                *place = value - start;
-                sum += *place;
-            }
-            let offset = sum * (1.0 / HOPS as f32);
-            series.iter_mut().for_each(|value| *value -= offset);
-            mean[index] = start + offset;
-            Self::spectrum(series, &mut lines[index]);
-        }
-        let product = |a: usize, b: usize| {
-            let sum = centred[a].iter().zip(&centred[b]).fold(0.0, |sum, (x, y)| sum + x * y);
-            sum * (1.0 / HOPS as f32)
-        };
-        let (xy, xz, yz) = (product(0, 1), product(0, 2), product(1, 2));
-        let products = [[product(0, 0), xy, xz], [xy, product(1, 1), yz], [xz, yz, product(2, 2)]];
-        Triad { mean, products, lines }
-    }
-
-    #[inline(never)]
-    fn extract(&mut self) {
-        let acceleration = self.triad(0);
-        let length = square_root(dot(acceleration.mean, acceleration.mean));
-        let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // The second axis is the horizontal direction with the most rotation.
-        // The mean rotation counts too, because a hand may turn in only one direction.
-        let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
-        let (cosine, sine) = match &rotation {
-            Some(rotation) => principal(rotation, rotation.mean, across, along),
-            None => principal(&acceleration, [0.0; 3], across, along),
-        };
-        let second = core::array::from_fn(|i| cosine * across[i] + sine * along[i]);
-        let third = core::array::from_fn(|i| cosine * along[i] - sine * across[i]);
-        let frame = [up, second, third];
-
-        let mut writer = Writer { place: self.features.iter_mut() };
-        let mut squares = [[0.0; 3]; 2];
-        squares[0] = describe(&acceleration, &frame, 1.0 / G, ACC_FLOOR, &mut writer);
-        if let Some(rotation) = &rotation {
-            squares[1] = describe(rotation, &frame, 1.0 / 100.0, GYRO_FLOOR, &mut writer);
-        }
-        let tremor_floors = [(1.0 / G, 0.01), (1.0 / 100.0, 0.02)];
-        for (tremor, (unit, floor)) in self.tremor.iter().zip(tremor_floors).take(Self::TRIADS) {
-            let mean = tremor.iter().fold(0.0, |sum, tremor| sum + tremor) * (1.0 / HOPS as f32);
-            writer.push(ln(square_root(mean) * unit + floor) * 0.5 + 1.5);
-        }
-        for (squares, floor) in squares.iter().zip([ACC_FLOOR, GYRO_FLOOR]).take(Self::TRIADS) {
-            for &square in squares {
-                writer.push(ln(square_root(square) + floor) + 1.0);
-            }
-        }
-        writer.push(2.0 * (length * (1.0 / G) - 1.0));
-    }
-
-    /// Computes lines 1 to 10 of the 32-point transform of a series with a Hann window. The middle hop is at time 0.
-    ///
-    /// The origin of time does not matter, because only magnitudes and products with conjugates are used.
-    /// With the origin in the middle, sums of mirrored hops need only cosines, and differences need only sines.
-    /// Hops m and 16 − m have the same factors up to sign, so they are combined, separately for odd and even lines.
-    /// For even lines, m and 8 − m are also combined, and lines 7 and 9 share terms.
-    #[inline(never)]
-    fn spectrum(series: &Series, lines: &mut [(f32, f32); LINES]) {
-        const MIDDLE: usize = HOPS / 2;
-        let (mut s, mut d) = ([0.0; 13], [0.0; 13]);
-        for (m, weight) in HANN.iter().enumerate() {
-            let (after, before) = (series[MIDDLE + 1 + m], series[MIDDLE - 1 - m]);
-            s[m + 1] = weight * (after + before);
-            d[m + 1] = weight * (after - before);
-        }
-        let x = series[MIDDLE];
-        let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
-
-        // These are the even lines of the transform. No hop is 13 to 15 hops from the middle.
-        let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
-        let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
-        let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
-        let (f4, f5, f6, f7) = (d[4] - d[12], d[5] - d[11], d[6] - d[10], d[7] - d[9]);
-        let (g1, g2, g3) = (d[1] + f7, d[2] + f6, d[3] + f5);
-        let (h1, h2, h3) = (d[1] - f7, d[2] - f6, d[3] - f5);
-        let (minus, plus) = (x - s[8], x + s[8]);
-        let (rp, rg) = (r * p2, r * g2);
-        let (t, u) = (c3 * p1 - c1 * p3, c1 * g1 - c3 * g3);
-        lines[1] = (minus + rp + (c1 * p1 + c3 * p3), c3 * g1 + c1 * g3 + rg + f4);
-        lines[3] = (plus - e4 + r * (q1 - q3), r * (h1 + h3) + h2);
-        lines[5] = (minus - rp + t, u + (rg - f4));
-        lines[7] = (plus + e4 - q2, h1 - h3);
-        lines[9] = (minus - rp - t, u - (rg - f4));
-
-        // These are the odd lines of the transform, from hops at odd and at even distances.
-        let [_, a1, _, a3, _, a5, _, a7] = COSINES;
-        let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
-        let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
-        let (u, v, w) = (c1 * s[2] + c3 * o6, c3 * s[2] - c1 * o6, r * o4);
-        let (re1, re3, re5, re7) = ((x + w) + u, (x - w) + v, (x - w) - v, (x + w) - u);
-        let (u, v, w) = (c3 * d[2] + c1 * i6, c1 * d[2] - c3 * i6, r * i4);
-        let (im1, im3, im5, im7) = (u + w + d[8], v + w - d[8], v - w + d[8], u - w - d[8]);
-        let ((s1, s3), (d1, d3)) = ((s[1], s[3]), (d[1], d[3]));
-        lines[0] = (
-            re1 + ((a1 * s1 + a3 * s3) + (a5 * o5 + a7 * o7)),
-            im1 + ((a7 * d1 + a5 * d3) + (a3 * i5 + a1 * i7)),
-        );
-        lines[2] = (
-            re3 + ((a3 * s1 - a7 * s3) - (a1 * o5 + a5 * o7)),
-            im3 + ((a5 * d1 + a1 * d3) + (a7 * i5 - a3 * i7)),
-        );
-        lines[4] = (
-            re5 + ((a5 * s1 - a1 * s3) + (a7 * o5 + a3 * o7)),
-            im5 + ((a3 * d1 + a7 * d3) - (a1 * i5 - a5 * i7)),
-        );
-        let re = (a7 * s1 - a5 * s3) + (a3 * o5 - a1 * o7);
-        let im = (a1 * d1 - a3 * d3) + (a5 * i5 - a7 * i7);
-        lines[6] = (re7 + re, im + im7);
-        lines[8] = (re7 - re, im - im7);
     }
 }
 
@@ -400,17 +303,136 @@ impl<const A: usize> Default for AlignedWindow<A> {
     }
 }
 
-/// Writes features into a slice, one after another.
-struct Writer<'a> {
-    place: core::slice::IterMut<'a, f32>,
-}
+/// Computes all features of a full window whose oldest hop has the index `oldest`.
+/// Without a gyroscope, only the first triad of channels counts.
+#[inline(never)]
+fn extract(
+    bins: &[[Series; 3]; 2],
+    tremor: &[Series; 2],
+    oldest: usize,
+    has_gyro: bool,
+    features: &mut [f32; MAX_FEATURES],
+) {
+    let (mut acceleration, mut rotation) = (Triad::EMPTY, Triad::EMPTY);
+    acceleration.fill(&bins[0], oldest);
+    let length = square_root(dot(acceleration.mean, acceleration.mean));
+    let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
+    // The second axis is the horizontal direction with the most rotation.
+    // The mean rotation counts too, because a hand may turn in only one direction.
+    let (most, mean) = if has_gyro {
+        rotation.fill(&bins[1], oldest);
+        (&rotation, rotation.mean)
+    } else {
+        (&acceleration, [0.0; 3])
+    };
+    let (cosine, sine) = principal(most, mean, across, along);
+    let second = core::array::from_fn(|i| cosine * across[i] + sine * along[i]);
+    let third = core::array::from_fn(|i| cosine * along[i] - sine * across[i]);
+    let frame = [up, second, third];
 
-impl Writer<'_> {
-    fn push(&mut self, value: f32) {
-        if let Some(place) = self.place.next() {
-            *place = value;
+    let mut squares = [[0.0; 3]; 2];
+    let Some((first, rest)) = features.split_first_chunk_mut() else { return };
+    squares[0] = describe(&mut acceleration, &frame, 1.0 / G, ACC_FLOOR, first);
+    let rest = match rest.split_first_chunk_mut() {
+        Some((second, rest)) if has_gyro => {
+            squares[1] = describe(&mut rotation, &frame, 1.0 / 100.0, GYRO_FLOOR, second);
+            rest
+        }
+        _ => rest,
+    };
+    let triads = 1 + usize::from(has_gyro);
+    let (tremors, rest) = rest.split_at_mut(triads);
+    let tremor_floors = [(1.0 / G, 0.01), (1.0 / 100.0, 0.02)];
+    for ((place, tremor), (unit, floor)) in tremors.iter_mut().zip(tremor).zip(tremor_floors) {
+        let mean = tremor.iter().fold(0.0, |sum, tremor| sum + tremor) * (1.0 / HOPS as f32);
+        *place = ln(square_root(mean) * unit + floor) * 0.5 + 1.5;
+    }
+    let (sizes, rest) = rest.split_at_mut(3 * triads);
+    for ((places, squares), floor) in sizes.chunks_exact_mut(3).zip(squares).zip([ACC_FLOOR, GYRO_FLOOR]) {
+        for (place, square) in places.iter_mut().zip(squares) {
+            *place = ln(square_root(square) + floor) + 1.0;
         }
     }
+    rest[0] = 2.0 * (length * (1.0 / G) - 1.0);
+}
+
+/// Copies a ring from its oldest hop on, about its mean. Returns the mean.
+/// The values are computed relative to the oldest hop, so that a constant has no effect.
+fn centre(ring: &Series, oldest: usize, series: &mut Series) -> f32 {
+    let (new, old) = ring.split_at(oldest.min(HOPS - 1));
+    let start = old[0];
+    let mut sum = 0.0;
+    let (first, last) = series.split_at_mut(old.len());
+    for (places, values) in [(first, old), (last, new)] {
+        for (place, value) in places.iter_mut().zip(values) {
+            *place = value - start;
+            sum += *place;
+        }
+    }
+    let offset = sum * (1.0 / HOPS as f32);
+    series.iter_mut().for_each(|value| *value -= offset);
+    start + offset
+}
+
+/// Computes lines 1 to 10 of the 32-point transform of a series with a Hann window. The middle hop is at time 0.
+///
+/// The origin of time does not matter, because only magnitudes and products with conjugates are used.
+/// With the origin in the middle, sums of mirrored hops need only cosines, and differences need only sines.
+/// Hops m and 16 − m have the same factors up to sign, so they are combined, separately for odd and even lines.
+/// For even lines, m and 8 − m are also combined, and lines 7 and 9 share terms.
+#[inline(never)]
+fn spectrum(series: &Series, lines: &mut [(f32, f32); LINES]) {
+    const MIDDLE: usize = HOPS / 2;
+    let (mut s, mut d) = ([0.0; 13], [0.0; 13]);
+    for (m, weight) in HANN.iter().enumerate() {
+        let (after, before) = (series[MIDDLE + 1 + m], series[MIDDLE - 1 - m]);
+        s[m + 1] = weight * (after + before);
+        d[m + 1] = weight * (after - before);
+    }
+    let x = series[MIDDLE];
+    let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
+
+    // These are the even lines of the transform. No hop is 13 to 15 hops from the middle.
+    let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
+    let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
+    let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
+    let (f4, f5, f6, f7) = (d[4] - d[12], d[5] - d[11], d[6] - d[10], d[7] - d[9]);
+    let (g1, g2, g3) = (d[1] + f7, d[2] + f6, d[3] + f5);
+    let (h1, h2, h3) = (d[1] - f7, d[2] - f6, d[3] - f5);
+    let (minus, plus) = (x - s[8], x + s[8]);
+    let (rp, rg) = (r * p2, r * g2);
+    let (t, u) = (c3 * p1 - c1 * p3, c1 * g1 - c3 * g3);
+    lines[1] = (minus + rp + (c1 * p1 + c3 * p3), c3 * g1 + c1 * g3 + rg + f4);
+    lines[3] = (plus - e4 + r * (q1 - q3), r * (h1 + h3) + h2);
+    lines[5] = (minus - rp + t, u + (rg - f4));
+    lines[7] = (plus + e4 - q2, h1 - h3);
+    lines[9] = (minus - rp - t, u - (rg - f4));
+
+    // These are the odd lines of the transform, from hops at odd and at even distances.
+    let [_, a1, _, a3, _, a5, _, a7] = COSINES;
+    let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
+    let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
+    let (u, v, w) = (c1 * s[2] + c3 * o6, c3 * s[2] - c1 * o6, r * o4);
+    let (re1, re3, re5, re7) = ((x + w) + u, (x - w) + v, (x - w) - v, (x + w) - u);
+    let (u, v, w) = (c3 * d[2] + c1 * i6, c1 * d[2] - c3 * i6, r * i4);
+    let (im1, im3, im5, im7) = (u + w + d[8], v + w - d[8], v - w + d[8], u - w - d[8]);
+    let ((s1, s3), (d1, d3)) = ((s[1], s[3]), (d[1], d[3]));
+    lines[0] = (
+        re1 + ((a1 * s1 + a3 * s3) + (a5 * o5 + a7 * o7)),
+        im1 + ((a7 * d1 + a5 * d3) + (a3 * i5 + a1 * i7)),
+    );
+    lines[2] = (
+        re3 + ((a3 * s1 - a7 * s3) - (a1 * o5 + a5 * o7)),
+        im3 + ((a5 * d1 + a1 * d3) + (a7 * i5 - a3 * i7)),
+    );
+    lines[4] = (
+        re5 + ((a5 * s1 - a1 * s3) + (a7 * o5 + a3 * o7)),
+        im5 + ((a3 * d1 + a7 * d3) - (a1 * i5 - a5 * i7)),
+    );
+    let re = (a7 * s1 - a5 * s3) + (a3 * o5 - a1 * o7);
+    let im = (a1 * d1 - a3 * d3) + (a5 * i5 - a7 * i7);
+    lines[6] = (re7 + re, im + im7);
+    lines[8] = (re7 - re, im - im7);
 }
 
 fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
@@ -447,47 +469,58 @@ fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -
     if difference >= 0.0 { (large, sign * small) } else { (small, sign * large) }
 }
 
-/// Writes the first [`TRIAD_FEATURES`] features of a triad in the given frame and returns the mean squares.
-/// This function is inlined twice for speed.
-#[inline(always)]
-fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
-    let frame = frame.map(|direction| direction.map(|value| value * unit));
+/// Turns the lines of a triad into the given frame, and computes its first features. Returns the mean squares.
+#[inline(never)]
+fn describe(
+    triad: &mut Triad,
+    frame: &[[f32; 3]; 3],
+    unit: f32,
+    floor: f32,
+    out: &mut [f32; TRIAD_FEATURES],
+) -> [f32; 3] {
+    let [up, second, third] = frame.map(|direction| direction.map(|value| value * unit));
     // Rounding may give slightly negative values.
-    let squares = frame.map(|direction| dot(direction, triad.times(direction)).max(0.0));
+    let squares = [up, second, third].map(|direction| dot(direction, triad.times(direction)).max(0.0));
     let energy = squares[0] + squares[1] + squares[2];
     let root = square_root(energy);
-    out.push(2.0 * root / (root + 2.0 * floor) - 1.0);
+    let (shares, out) = out.split_at_mut(4);
+    shares[0] = 2.0 * root / (root + 2.0 * floor) - 1.0;
     let share = 3.0 / (energy + floor * floor);
-    for square in squares {
-        out.push(square * share - 1.0);
+    for (place, square) in shares[1..].iter_mut().zip(squares) {
+        *place = square * share - 1.0;
     }
-    let mut lines = [[(0.0, 0.0); LINES]; 3];
-    let mut scales = [0.0; 3];
-    for ((turned, scale), direction) in lines.iter_mut().zip(&mut scales).zip(frame) {
-        let mut sum = 60.0 * floor * floor;
-        for (line, place) in turned.iter_mut().enumerate() {
-            let [x, y, z] = triad.lines.each_ref().map(|lines| lines[line]);
-            let (re, im) = (dot(direction, [x.0, y.0, z.0]), dot(direction, [x.1, y.1, z.1]));
-            *place = (re, im);
-            sum += re * re + im * im;
+    let start = 60.0 * floor * floor;
+    let (mut sum_x, mut sum_y, mut sum_z) = (start, start, start);
+    let [xs, ys, zs] = &mut triad.lines;
+    for ((x, y), z) in xs.iter_mut().zip(ys).zip(zs) {
+        let (re, im) = ([x.0, y.0, z.0], [x.1, y.1, z.1]);
+        // Three times the same: a loop over the directions would cost as much as what it does.
+        *x = (dot(up, re), dot(up, im));
+        sum_x += x.0 * x.0 + x.1 * x.1;
+        *y = (dot(second, re), dot(second, im));
+        sum_y += y.0 * y.0 + y.1 * y.1;
+        *z = (dot(third, re), dot(third, im));
+        sum_z += z.0 * z.0 + z.1 * z.1;
+    }
+    let scales = [sum_x, sum_y, sum_z].map(|sum| 1.0 / square_root(sum));
+    let (magnitudes, relations) = out.split_at_mut(3 * LINES);
+    for (axis, (lines, scale)) in triad.lines.iter().zip(scales).enumerate() {
+        for (place, (re, im)) in magnitudes[axis..].iter_mut().step_by(3).zip(lines) {
+            *place = 2.0 * (square_root(re * re + im * im) * scale) - 0.5;
         }
-        *scale = 1.0 / square_root(sum);
     }
-    for line in 0..LINES {
-        for (lines, scale) in lines.iter().zip(&scales) {
-            let (re, im) = lines[line];
-            out.push(2.0 * (square_root(re * re + im * im) * scale) - 0.5);
-        }
-    }
-    for (i, j) in [(1, 0), (2, 0), (2, 1)] {
+    let [xs, ys, zs] = &triad.lines;
+    let pairs =
+        [(ys, xs, scales[1] * scales[0]), (zs, xs, scales[2] * scales[0]), (zs, ys, scales[2] * scales[1])];
+    for (place, (first, second, scale)) in relations.chunks_exact_mut(2).zip(pairs) {
         let (mut real, mut imaginary) = (0.0, 0.0);
-        for ((a, b), (c, d)) in lines[i].iter().zip(&lines[j]) {
+        for ((a, b), (c, d)) in first.iter().zip(second) {
             real += a * c + b * d;
             imaginary += b * c - a * d;
         }
-        let scale = 2.0 * (scales[i] * scales[j]);
-        out.push(real.abs() * scale - 0.5);
-        out.push(imaginary.abs() * scale - 0.5);
+        let scale = 2.0 * scale;
+        place[0] = f32::abs(real) * scale - 0.5;
+        place[1] = f32::abs(imaginary) * scale - 0.5;
     }
     squares
 }
@@ -505,7 +538,7 @@ mod tests {
                 (state >> 8) as f32 / 1e7 - 0.8
             });
             let mut lines = [(0.0, 0.0); LINES];
-            AlignedWindow::<9>::spectrum(&series, &mut lines);
+            spectrum(&series, &mut lines);
             for (index, (re, im)) in lines.into_iter().enumerate() {
                 let (mut cosines, mut sines) = (0f64, 0f64);
                 for (n, &x) in series.iter().enumerate() {

@@ -71,13 +71,14 @@ impl MovementConfig {
             rotation: 30.0,
             rest_hops: if has_gyro { 3 } else { 5 },
             min_hops: 9,
-            min_moving: if has_gyro { 8 } else { 22 },
+            // With 8 hops, reaching for something would more often count as a gesture. With 14, gestures of one second are lost.
+            min_moving: if has_gyro { 12 } else { 22 },
             decide_hops: 22,
             average_hops: if has_gyro { 4 } else { 8 },
             // The README of `models` lists the false events that these values cause.
             // `models events --max-rest` measures the number of false events.
             min_confidence: 128,
-            max_rest: if has_gyro { 64 } else { 26 },
+            max_rest: if has_gyro { 77 } else { 26 },
             late_hops: if has_gyro { 30 } else { 60 },
             change_hops: 25,
             change_confidence: 205,
@@ -212,6 +213,7 @@ impl MovementDecision {
 
     /// Adds the int8 scores of a hop, one per label, and those of the slow window if they are new.
     /// A probability is (score + 128) / 256. If means are equal, the first label wins. Empty scores are ignored.
+    #[inline(never)]
     pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<GestureEvent> {
         let config = self.config;
         self.scores.push(scores);

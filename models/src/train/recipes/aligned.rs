@@ -42,8 +42,8 @@ pub struct Aligned {
     /// Real people whose daily movement also provides examples of `other`.
     /// The daily movement is used only together with `bystanders`.
     pub daily: Daily,
-    /// Hidden widths of a smaller network that learns the probabilities of the merged one and replaces it.
-    /// `None` keeps the merged network, which is what boards run.
+    /// Hidden widths of the network that learns the probabilities of the merged one, and which boards run.
+    /// `None` keeps the merged network itself.
     pub student: Option<[usize; 2]>,
 }
 
@@ -54,7 +54,7 @@ pub const ALIGNED: Aligned = Aligned {
     bystanders: 100,
     performers: 40,
     daily: Daily::All,
-    student: None,
+    student: Some(crate::ALIGNED_HIDDEN),
 };
 
 impl Aligned {
@@ -148,11 +148,8 @@ impl Recipe for Aligned {
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, _: &ProgressBar) -> Result<Fitted, TrainError> {
         let Learnt { rows, labels, limit, of_recordings, .. } = *learnt;
         let plan = self.steps.following(of_recordings);
-        let merged = steps::fit(rows, labels, &crate::ALIGNED_MEMBER_HIDDEN, &plan, limit, seed);
-        let layers = match self.student {
-            Some(hidden) => steps::distil(rows, labels, &merged, &hidden, &plan, limit, seed),
-            None => merged,
-        };
+        let member = crate::ALIGNED_MEMBER_HIDDEN;
+        let layers = steps::fit(rows, labels, &member, &plan, limit, seed, self.student);
         let epochs = (plan.count * plan.batch).div_ceil(rows.len().max(1));
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
