@@ -55,11 +55,9 @@ pub struct Turning {
 impl Turning {
     /// Turns the sample of the next 10 ms.
     pub fn step(&mut self, values: [f64; 9]) -> [f64; 9] {
-        let mut turned = [0.0; 2];
-        for axis in 0..2 {
-            turned[axis] = (self.to_deg[axis] - self.now_deg[axis]).clamp(-TURN_DEG, TURN_DEG);
-            self.now_deg[axis] += turned[axis];
-        }
+        let turned: [f64; 2] =
+            std::array::from_fn(|i| (self.to_deg[i] - self.now_deg[i]).clamp(-TURN_DEG, TURN_DEG));
+        self.now_deg = std::array::from_fn(|i| self.now_deg[i] + turned[i]);
         let mut values = tilted(values, self.now_deg);
         // Degrees per sample of 10 ms to degrees per second, about the axes forward and left.
         values[3] -= 100.0 * turned[1];
