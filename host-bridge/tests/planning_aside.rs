@@ -145,19 +145,25 @@ fn a_plan_that_is_there_after_a_pause_of_the_whole_program_begins_from_then_on_o
     for pause_ms in [200, 300, 1500] {
         let config = Config::parse("[motions]\nto-fro = \"gap 5\"\n").unwrap();
         let keys = HandInput::Keyboard;
-        let mut live = moving::live_before(robot().planning_aside(), &config, keys, keys, 0);
-        let mut now_ms = 0;
-        while now_ms < 1000 {
-            now_ms += 2;
-            live.advance(now_ms, [true; 2]);
-        }
-        assert_eq!(live.bridge().safety().state(), State::Armed);
-        live.press(HandKey::Gesture(2), now_ms);
-        while live.door().picture().arm.running.is_none() {
-            now_ms += 2;
-            assert!(now_ms < 5000, "nothing is planned");
-            live.advance(now_ms, [true; 2]);
-        }
+        let asked = || {
+            let mut live = moving::live_before(robot().planning_aside(), &config, keys, keys, 0);
+            let mut now_ms = 0;
+            while now_ms < 1000 {
+                now_ms += 2;
+                live.advance(now_ms, [true; 2]);
+            }
+            assert_eq!(live.bridge().safety().state(), State::Armed);
+            live.press(HandKey::Gesture(2), now_ms);
+            while live.door().picture().arm.running.is_none() {
+                now_ms += 2;
+                assert!(now_ms < 5000, "nothing is planned");
+                live.advance(now_ms, [true; 2]);
+            }
+            let is_planning = live.door().picture().arm.running.is_some_and(|(_, leg)| leg == Leg::Planning);
+            is_planning.then_some((live, now_ms))
+        };
+        // On a busy machine, a plan may be there before anyone looks, and its motion has begun. Then the test asks again.
+        let (mut live, mut now_ms) = (0..100).find_map(|_| asked()).expect("a plan takes some time");
         let there = live.door().arm().joints_rad;
         planned(live.door());
         now_ms += pause_ms;
