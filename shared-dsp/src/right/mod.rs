@@ -122,6 +122,7 @@ pub enum Windows<const A: usize> {
 
 /// The stage after the network.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
 enum Decision {
     /// Recipes 1 and 2.
     PerAxis(GestureDecision),

@@ -76,7 +76,7 @@ fn nano(version: &str) -> Vec<u8> {
 
 #[test]
 fn update_replaces_the_image_and_puts_the_old_one_back_though_the_cable_is_pulled_once() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     let bench = Bench::start("update");
@@ -110,7 +110,7 @@ fn update_replaces_the_image_and_puts_the_old_one_back_though_the_cable_is_pulle
 
 #[test]
 fn an_update_file_that_is_refused_changes_nothing_and_the_program_says_what_to_do() {
-    if !tests::has_linked_image() {
+    if !tests::has_linked_image_and_time() {
         return;
     }
     let bench = Bench::start("update-refused");

@@ -257,7 +257,10 @@ impl HandLink {
     /// Returns the message to send to the board now, if any.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
         let silent = |since: Option<u64>| since.is_none_or(|t| now_ms.saturating_sub(t) >= HELLO_INTERVAL_MS);
-        let known = self.identity.is_some() && (self.hand == Hand::Left || self.model.is_some());
+        // A board may say hello by itself, but only an answer also says how its Bluetooth was paired.
+        let known = self.identity.is_some()
+            && self.last_request_ms.is_some()
+            && (self.hand == Hand::Left || self.model.is_some());
         let restarted = self.restarted || self.overtaken_in_a_row >= OVERTAKEN_MEANS_RESTART;
         if (!known || restarted || silent(self.last_state_ms)) && silent(self.last_request_ms) {
             self.last_request_ms = Some(now_ms);
@@ -319,6 +322,10 @@ impl HandLink {
         if let BoardMessage::Hello(hello) = message {
             return self.hello(&hello);
         }
+        // A left hand says this before the hello that it was asked for.
+        if let BoardMessage::Pairing(pairing) = message {
+            return (self.pairing.replace(pairing) != Some(pairing)).then_some(Heard::Pairing(pairing));
+        }
         if self.identity.is_none() {
             self.counters.before_hello += 1;
             return None;
@@ -333,9 +340,6 @@ impl HandLink {
             BoardMessage::Tilt(tilt) => self.tilt(tilt, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
             BoardMessage::Fault(fault) => Some(Heard::Fault(fault)),
-            BoardMessage::Pairing(pairing) => {
-                (self.pairing.replace(pairing) != Some(pairing)).then_some(Heard::Pairing(pairing))
-            }
             BoardMessage::Pong(pong) => {
                 self.pong(&pong, now_ms);
                 None
@@ -384,7 +388,7 @@ impl HandLink {
         self.middle.rebase();
         self.gestures.rebase();
         (self.overtaken_in_a_row, self.waits_for_tilt) = (0, None);
-        (self.model, self.about, self.pairing) = (None, None, None);
+        (self.model, self.about) = (None, None);
         self.minor = hello.minor;
         self.identity = Some(identity.clone());
         Some(Heard::Started(identity))
