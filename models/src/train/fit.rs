@@ -267,10 +267,10 @@ impl Fitting {
             let step = largest.max(1e-9) / 127.0;
             self.used.iter_mut().for_each(|weight| *weight = rounded(*weight, step));
         }
-        let rows = batch.chunks_exact(self.inputs).zip(self.made.chunks_exact_mut(self.outputs));
-        for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
-            made.copy_from_slice(&self.biases.values);
-            add_products(row, &self.used, made);
+        self.made.chunks_exact_mut(self.outputs).for_each(|made| made.copy_from_slice(&self.biases.values));
+        add_products(batch, self.inputs, &self.used, &mut self.made, self.outputs);
+        let made = self.made.chunks_exact_mut(self.outputs);
+        for (made, passes) in made.zip(self.passes.chunks_exact_mut(self.outputs)) {
             let lowest = if self.relu { 0.0 } else { f32::NEG_INFINITY };
             let (low, high) = range.unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
             for (value, passes) in made.iter_mut().zip(passes) {
@@ -286,11 +286,8 @@ impl Fitting {
     /// If requested, the method also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
-        let columns = turned(batch, self.inputs);
-        let of_inputs = self.weights.gradient.chunks_exact_mut(self.outputs);
-        for (column, sums) in columns.chunks_exact((batch.len() / self.inputs.max(1)).max(1)).zip(of_inputs) {
-            add_products(column, of_outputs, sums);
-        }
+        let (columns, rows) = (turned(batch, self.inputs), batch.len() / self.inputs.max(1));
+        add_products(&columns, rows, of_outputs, &mut self.weights.gradient, self.outputs);
         for gradient in of_outputs.chunks_exact(self.outputs) {
             self.biases.gradient.iter_mut().zip(gradient).for_each(|(sum, gradient)| *sum += gradient);
         }
@@ -298,8 +295,7 @@ impl Fitting {
         let weights = turned(&self.used, self.outputs);
         to_inputs.clear();
         to_inputs.resize(batch.len(), 0.0);
-        let rows = to_inputs.chunks_exact_mut(self.inputs).zip(of_outputs.chunks_exact(self.outputs));
-        rows.for_each(|(sums, gradient)| add_products(gradient, &weights, sums));
+        add_products(of_outputs, self.outputs, &weights, to_inputs, self.inputs);
     }
 
     /// Returns the average over the steps as a plain layer.
@@ -314,29 +310,63 @@ impl Fitting {
     }
 }
 
-/// Adds to each of `sums` its products: values × the column of a matrix that has one row per value.
-/// A sum adds its products in the order of the values. Blocks of sums stay in registers meanwhile, which changes no bit.
-fn add_products(values: &[f32], matrix: &[f32], sums: &mut [f32]) {
-    fn block<const N: usize>(values: &[f32], matrix: &[f32], width: usize, at: &mut usize, sums: &mut [f32]) {
-        while let Some(place) = sums.get_mut(*at..).and_then(|sums| sums.first_chunk_mut::<N>()) {
-            let mut block = *place;
-            for (value, row) in values.iter().zip(matrix.chunks_exact(width)) {
-                let Some(row) = row[*at..].first_chunk::<N>() else { return };
-                block.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
+/// Adds the product of two matrices, values × `matrix`, to `sums`. A row has `inner` values and `width` sums.
+/// A sum adds its products in the order of the values, whatever the blocks.
+/// Blocks of four rows and several sums stay in registers meanwhile.
+fn add_products(values: &[f32], inner: usize, matrix: &[f32], sums: &mut [f32], width: usize) {
+    fn block<const ROWS: usize, const N: usize>(
+        values: &[&[f32]; ROWS],
+        matrix: &[f32],
+        sums: &mut [f32],
+        width: usize,
+        at: &mut usize,
+    ) {
+        while *at + N <= width {
+            let mut block = [[0.0; N]; ROWS];
+            for (row, sums) in block.iter_mut().zip(sums.chunks_exact(width)) {
+                row.copy_from_slice(&sums[*at..*at + N]);
             }
-            *place = block;
+            for (index, weights) in matrix.chunks_exact(width).enumerate() {
+                let Some(weights) = weights[*at..].first_chunk::<N>() else { return };
+                for (row, values) in block.iter_mut().zip(values) {
+                    let value = values[index];
+                    row.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
+                }
+            }
+            for (row, sums) in block.iter().zip(sums.chunks_exact_mut(width)) {
+                sums[*at..*at + N].copy_from_slice(row);
+            }
             *at += N;
         }
     }
-    let (width, mut at) = (sums.len(), 0);
-    block::<16>(values, matrix, width, &mut at, sums);
-    block::<4>(values, matrix, width, &mut at, sums);
-    block::<1>(values, matrix, width, &mut at, sums);
+    fn rows<const ROWS: usize>(values: &[f32], inner: usize, matrix: &[f32], sums: &mut [f32], width: usize) {
+        let values: [&[f32]; ROWS] = std::array::from_fn(|row| &values[row * inner..(row + 1) * inner]);
+        let mut at = 0;
+        block::<ROWS, 8>(&values, matrix, sums, width, &mut at);
+        block::<ROWS, 4>(&values, matrix, sums, width, &mut at);
+        block::<ROWS, 1>(&values, matrix, sums, width, &mut at);
+    }
+    const ROWS: usize = 4;
+    let (fours, rest) = (values.chunks_exact(ROWS * inner), sums.chunks_exact_mut(ROWS * width));
+    let last = fours.remainder();
+    let mut rest = rest;
+    for (values, sums) in fours.zip(&mut rest) {
+        rows::<ROWS>(values, inner, matrix, sums, width);
+    }
+    let singles = last.chunks_exact(inner).zip(rest.into_remainder().chunks_exact_mut(width));
+    singles.for_each(|(values, sums)| rows::<1>(values, inner, matrix, sums, width));
 }
 
 /// Turns rows of this width into columns.
 fn turned(rows: &[f32], width: usize) -> Vec<f32> {
-    (0..width).flat_map(|column| rows.iter().skip(column).step_by(width).copied()).collect()
+    let count = rows.len() / width.max(1);
+    let mut columns = vec![0.0; count * width];
+    for (index, row) in rows.chunks_exact(width.max(1)).enumerate() {
+        for (column, value) in columns.chunks_exact_mut(count.max(1)).zip(row) {
+            column[index] = *value;
+        }
+    }
+    columns
 }
 
 fn rounded(value: f32, step: f32) -> f32 {
@@ -354,11 +384,11 @@ pub(super) fn run(
 ) -> Vec<FloatLayer> {
     let mut layers: Vec<Fitting> = start.iter().map(|layer| Fitting::new(layer, plan.batch)).collect();
     let range = |index: usize| rounding.and_then(|rounding| rounding.ranges.get(index).copied());
-    let (mut gradient, mut before) = (Vec::new(), Vec::new());
+    let (mut batch, mut gradient, mut before) = (Vec::new(), Vec::new(), Vec::new());
     for step in 0..plan.count {
         let drawn = wanted.drawn(plan.batch, &mut rng);
-        let inputs = drawn.iter().flat_map(|row| &rows[*row as usize].0);
-        let mut batch: Vec<f32> = inputs.copied().collect();
+        batch.clear();
+        drawn.iter().for_each(|row| batch.extend_from_slice(&rows[*row as usize].0));
         if let Some(Rounding { limit, .. }) = rounding {
             batch.iter_mut().for_each(|value| *value = rounded(value.clamp(-limit, *limit), limit / 127.5));
         }
