@@ -19,13 +19,13 @@ pub mod desk;
 pub mod bluez;
 
 /// Returns whether to run the tests of the images that have Bluetooth linked in.
-/// The build of these images takes minutes, so the tests run only in the long run.
-/// They also run if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image.
+/// The build of these images takes minutes, so the tests run only in the long run,
+/// and if `BIMANUAL_NANO33_TROUBLE_ELF` selects an image, as `cargo xtask test` does.
 pub fn has_linked_image() -> bool {
     let has = is_full() || std::env::var_os("BIMANUAL_NANO33_TROUBLE_ELF").is_some();
     if !has {
         println!(
-            "SKIPPED: tests of images with Bluetooth linked in run with `cargo xtask test --full`, \
+            "SKIPPED: tests of images with Bluetooth linked in run with `cargo xtask test`, \
              or if BIMANUAL_NANO33_TROUBLE_ELF and BIMANUAL_XIAO_LEFT_ELF name them"
         );
     }
