@@ -65,8 +65,9 @@ pub fn strangers() -> Result<()> {
         people.arg(&acc);
         events.arg(&acc).args(["--hours", "10"]);
     } else {
-        people.args(["--seeds", "1"]);
-        events.args(["--seeds", "1", "--hours", "0.2"]);
+        // Half of the steps are enough for these floors, and the teachers of a model take time.
+        people.args(["--seeds", "1", "--steps", "2000"]);
+        events.args(["--seeds", "1", "--steps", "2000", "--hours", "0.2"]);
     }
     let text = output(&mut people)?;
     print!("{text}");
