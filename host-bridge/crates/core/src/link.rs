@@ -257,10 +257,7 @@ impl HandLink {
     /// Returns the message to send to the board now, if any.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
         let silent = |since: Option<u64>| since.is_none_or(|t| now_ms.saturating_sub(t) >= HELLO_INTERVAL_MS);
-        // A board may say hello by itself, but only an answer also says how its Bluetooth was paired.
-        let known = self.identity.is_some()
-            && self.last_request_ms.is_some()
-            && (self.hand == Hand::Left || self.model.is_some());
+        let known = self.identity.is_some() && (self.hand == Hand::Left || self.model.is_some());
         let restarted = self.restarted || self.overtaken_in_a_row >= OVERTAKEN_MEANS_RESTART;
         if (!known || restarted || silent(self.last_state_ms)) && silent(self.last_request_ms) {
             self.last_request_ms = Some(now_ms);
