@@ -27,7 +27,7 @@ STRETCH = next(iter(p for p in pathlib.Path(sys.prefix).rglob("stretch_urdf/SE3"
 MARGINS_MM = {"ur3": 3, "ur5": 3, "ur10": 3, "tiago": 3, "stretch": 3}
 
 # Of 30 pairs, so many ways are found. The other arms find all.
-LEAST = {"ur3": 25, "ur5": 29, "ur10": 29}
+LEAST = {"ur3": 25}
 
 # Name: file, root, tip.
 ARMS = {
