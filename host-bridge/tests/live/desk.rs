@@ -11,6 +11,7 @@ use std::time::Duration;
 use host_bridge::adc::AdcRecording;
 use models::recording::Recording;
 use shared_dsp::left::AdcCounts;
+use shared_proto::message::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use tungstenite::Message;
 use tungstenite::client::IntoClientRequest as _;
 
@@ -143,7 +144,8 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
     );
-    for word in ["protocol 1.6", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    let protocol = format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}");
+    for word in [&*protocol, "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }
