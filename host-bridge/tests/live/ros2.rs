@@ -1295,11 +1295,20 @@ fn teach(arguments: &[&str]) -> (bool, String) {
     (output.status.success(), both.join(""))
 }
 
+/// Waits until the robot's arm has moved and rests, and returns its joint angles. `from` is the first report that counts.
+/// On a busy machine, the robot's reports arrive after the program has ended.
+fn moved_to(robot: &mut Teller, from: usize) -> Vec<f64> {
+    let moves = |moves: bool| move |v: &Value| is(v, "arm") && v["moves"] == moves;
+    let moving = robot.wait_from(from, "the arm moves", moves(true));
+    let rests = robot.wait_from(moving, "the arm rests", moves(false));
+    robot.seen[rests].1["position"].as_array().unwrap().iter().map(number).collect()
+}
+
 /// Returns the joint angles in the last report in which the robot's arm did not move.
 fn rests_at(robot: &mut Teller) -> Vec<f64> {
     robot.catch_up();
     let rest = robot.seen.iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
-    rest.map_or(HOME.to_vec(), |(_, v)| v["position"].as_array().unwrap().iter().map(number).collect())
+    rest.expect("a report of rest").1["position"].as_array().unwrap().iter().map(number).collect()
 }
 
 #[test]
@@ -1326,10 +1335,12 @@ fn the_arm_goes_to_where_somebody_else_says_that_the_thing_is_and_not_to_an_old_
     for cup_m in &places_m[..if is_full() { 2 } else { 1 }] {
         let [x, y, z] = cup_m;
         robot.order(&format!("thing /cup_pose arm_base_link {x} {y} {z} 0.05"));
+        robot.catch_up();
+        let from = robot.seen.len();
         let (done, said) = play();
         assert!(done, "{said}");
         let mut here = host_bridge::robot::Joints::default();
-        here[..7].copy_from_slice(&rests_at(&mut robot));
+        here[..7].copy_from_slice(&moved_to(&mut robot, from));
         let there_m = host_bridge::arm::model::SerialArm::gen3().flange_pose(&here).position_m;
         let off_m =
             ((there_m.x - x).powi(2) + (there_m.y - y).powi(2) + (there_m.z - z - 0.2).powi(2)).sqrt();
@@ -1476,12 +1487,8 @@ fn read_taught_and_moved(
         let from = robot.seen.len();
         let (done, said) = teach(&[&[pose, "--play", "--yes"], &files[..]].concat());
         assert!(done && said.contains("reached"), "{pose}: {said}");
-        // On a busy machine, the robot's lines arrive after the program has ended.
-        let moves = |moves: bool| move |v: &Value| is(v, "arm") && v["moves"] == moves;
-        let moving = robot.wait_from(from, "the arm moves", moves(true));
-        let rests = robot.wait_from(moving, "the arm rests", moves(false));
-        let at = robot.seen[rests].1["position"].as_array().unwrap().iter().map(number);
-        let off = at.zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let off =
+            moved_to(&mut robot, from).iter().zip(there).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         println!("{name}: '{pose}' reached, {off:.4} rad or m off");
         assert!(off < 0.01);
     }

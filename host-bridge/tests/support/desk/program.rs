@@ -201,7 +201,9 @@ impl Running {
             Some(line) => line,
             None => {
                 self.process.kill();
-                panic!("no line with {words:?}; there were\n{}", self.seen.join("\n"));
+                // A program that has ended by itself was not killed, and its own status says why.
+                let status = self.process.wait();
+                panic!("no line with {words:?}; {status}; there were\n{}", self.seen.join("\n"));
             }
         }
     }
