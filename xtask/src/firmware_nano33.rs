@@ -145,13 +145,6 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Returns whether this run builds and tests the images with Bluetooth linked in.
-/// Their build takes some 150 s of processor time, and their tests take some 80 s.
-/// To have them only in the long run, return [`is_full`] here.
-pub fn tests_have_linked_images() -> bool {
-    true
-}
-
 /// Builds the variants that the tests run.
 /// Only `--full` builds `xiao-trouble`, whose code is also in the other variants.
 ///
@@ -160,7 +153,6 @@ pub fn tests_have_linked_images() -> bool {
 pub fn run_for_tests() -> Result<()> {
     VARIANTS
         .iter()
-        .filter(|(_, options, _)| tests_have_linked_images() || !has_second_stage(options))
         .filter(|(name, ..)| is_full() || *name != "xiao-trouble")
         .try_for_each(|(name, ..)| run(&[name]))
 }

@@ -115,10 +115,8 @@ fn run_groups() -> Result<ExitCode> {
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
         announce("XIAO_ELF", &firmware_nano33::image("xiao"));
-        if firmware_nano33::tests_have_linked_images() {
-            announce("NANO33_TROUBLE_ELF", &firmware_nano33::image("trouble"));
-            announce("XIAO_LEFT_ELF", &firmware_nano33::image("xiao-left"));
-        }
+        announce("NANO33_TROUBLE_ELF", &firmware_nano33::image("trouble"));
+        announce("XIAO_LEFT_ELF", &firmware_nano33::image("xiao-left"));
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
