@@ -18,7 +18,7 @@ use host_bridge::describe;
 use host_bridge::observe::{Now, SessionEvent, Snapshot};
 use host_bridge::robot::Twist;
 use host_bridge::safety::{HaltReason, Hand, State};
-use host_bridge::worn::Level;
+use host_bridge::worn::{Handedness, Level};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session as play};
 use one_hand::Session;
 use shared_proto::message::{
@@ -467,7 +467,7 @@ fn played(wearer: &Wearer, take: u64, script: &[Segment]) -> Session {
     };
     let mut config = config("");
     let level = Level::of(tilted([0.0, 0.0])).unwrap();
-    config.one_handed = level.forward(config.one_handed, tilted([30.0, 0.0])).unwrap();
+    config.one_handed = level.forward(config.one_handed, Handedness::Right, tilted([30.0, 0.0])).unwrap();
     level.check_left(&config.one_handed, tilted([0.0, 30.0])).unwrap();
     let all = 0..rows.len();
     Session::new(&config, Wrist::new(rows, all))

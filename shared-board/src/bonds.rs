@@ -94,6 +94,13 @@ impl Laptops {
         self.iter().next().is_none()
     }
 
+    /// Returns whether this bond would replace a bond that was paired with a passkey by one that was not.
+    /// A stranger can claim to be any laptop, and "just works" asks nobody.
+    pub fn would_be_weakened_by(&self, bond: &Bond) -> bool {
+        let stronger = |kept: &Bond| kept.authenticated && kept.is_of_same_laptop(bond);
+        !bond.authenticated && self.iter().any(stronger)
+    }
+
     /// Stores a laptop as the newest bond.
     /// The bond replaces the laptop's earlier bond, or the oldest bond if there is no room.
     pub fn keep(&mut self, bond: Bond) {

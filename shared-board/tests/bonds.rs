@@ -54,6 +54,18 @@ fn a_laptop_that_pairs_again_is_remembered_once_with_its_new_keys() {
 }
 
 #[test]
+fn only_a_bond_without_a_passkey_weakens_one_with_a_passkey() {
+    let with_passkey = |number, key| Bond { authenticated: true, ..laptop(number, key) };
+    let mut laptops = Laptops::default();
+    laptops.keep(with_passkey(1, 1));
+    laptops.keep(laptop(2, 2));
+    assert!(laptops.would_be_weakened_by(&laptop(1, 3)));
+    for fine in [with_passkey(1, 3), laptop(2, 3), with_passkey(2, 3), laptop(3, 3)] {
+        assert!(!laptops.would_be_weakened_by(&fine), "{fine:?}");
+    }
+}
+
+#[test]
 fn a_laptop_that_changes_its_address_is_known_by_its_resolving_key() {
     let with = |number, key| Bond { resolving: [7; 16], ..laptop(number, key) };
     let flash = keep_all(RamFlash::blank(), [with(1, 1), laptop(3, 3), with(2, 2)]);

@@ -251,6 +251,43 @@ fn a_wrong_passkey_is_refused_and_leaves_no_keys() {
     assert_eq!(rig.board.resets, STARTED_ONCE);
 }
 
+/// A stranger can claim the owner's address.
+#[test]
+fn keys_paired_with_a_passkey_are_not_replaced_by_just_works_and_no_passkey_is_shown_after_the_window() {
+    if !tests::has_linked_image() {
+        return;
+    }
+    let mut rig = rig();
+    rig.charge();
+    let order = pair_with_a_keyboard(&mut rig);
+    rig.run_ms(2000);
+    let shown = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    rig.get(json!({"do": "type", "number": shown}));
+    assert_eq!(outcome(&mut rig, order)["done"]["authenticated"], true);
+    rig.run_ms(1000);
+    let keys = rig.board.soc().flash[BONDS].to_vec();
+    assert_ne!(keys[..4], [0xFF; 4]);
+    let mut again = |rig: &mut RightRig, io: &str| {
+        if rig.board.controller().is_connected() {
+            rig.get(json!({"do": "disconnect"}));
+        }
+        rig.run_ms(500);
+        rig.get(json!({"do": "forget"}));
+        rig.get(json!({"do": "configure", "io": io}));
+        rig.get(json!({"do": "connect", "interval": 15.0}));
+        rig.uart.heard.pairings.clear();
+        rig.board.order(json!({"do": "pair"}));
+        rig.run_ms(5000);
+        assert!(!rig.board.controller().is_connected(), "{io}: it hangs up");
+        assert!(rig.uart.heard.pairings.is_empty(), "{io}: no passkey");
+        assert_eq!(rig.board.soc().flash[BONDS], keys, "{io}: the same keys");
+    };
+    again(&mut rig, "none");
+    rig.run_ms(120_000);
+    again(&mut rig, "keyboard");
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
 #[test]
 fn laptops_without_a_keyboard_pair_by_just_works_and_the_board_says_so() {
     if !tests::has_linked_image() {

@@ -13,7 +13,7 @@ use host_bridge::one_handed::{OneHanded, SINCE_MINOR};
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk, TalkError};
 use host_bridge::taught::with_worn;
-use host_bridge::worn::Level;
+use host_bridge::worn::{Handedness, Level, PoseError};
 use shared_proto::message::{AckResult, CalibrationStep, HostMessage, TiltThresholds, health};
 
 use super::ports::{PortOptions, port_of, read_config, settings};
@@ -126,12 +126,16 @@ fn one_handed(args: &Args) -> Result<ExitCode> {
          (firmware-nano33/README.md)",
         who.version.1
     );
+    let Some(about) = talk.about(STEP_MS) else {
+        bail!("{port}: the board does not say which sensor it has; restart it, and run calibrate again");
+    };
+    let axes = Handedness::of(about.sensor);
     // The laptop applies the thresholds; the request only makes the board send its tilt.
     let thresholds = TiltThresholds::DEFAULT;
     talk.request(STEP_MS, |request| HostMessage::SetThresholds { request, thresholds })?;
     println!("{}, firmware {}: three poses of less than a second each", who.board, who.firmware);
     let level = pose(&mut talk, 0, args.every, |mean| Ok(Level::of(mean)?))?;
-    let worn = pose(&mut talk, 1, args.every, |mean| Ok(level.forward(config.one_handed, mean)?))?;
+    let worn = pose(&mut talk, 1, args.every, |mean| Ok(level.forward(config.one_handed, axes, mean)?))?;
     pose(&mut talk, 2, args.every, |mean| Ok(level.check_left(&worn, mean)?))?;
     store(file, &worn)?;
     println!(
@@ -169,6 +173,9 @@ fn pose<T>(
             Err(why) => {
                 println!("   refused: {why}");
                 refused += 1;
+                // Another tilt could only confirm whichever of the two poses is wrong.
+                let contradicts = why.downcast_ref().is_some_and(PoseError::is_contradiction);
+                ensure!(!contradicts, "two poses contradict each other, and nothing is stored: {why}");
                 ensure!(
                     refused < ATTEMPTS,
                     "pose {} was refused {ATTEMPTS} times, and nothing is stored; run calibrate again",
@@ -214,8 +221,13 @@ fn store(file: &Path, worn: &OneHanded) -> Result<()> {
     let about = || file.display().to_string();
     let text = if file.exists() { std::fs::read_to_string(file).with_context(about)? } else { String::new() };
     let new = with_worn(&text, worn).with_context(about)?;
-    // Checks that the new file is valid.
-    Config::parse(&new).with_context(about)?;
+    // Checks that the new file is valid, and that it says what was measured.
+    let read = Config::parse(&new).with_context(about)?.one_handed;
+    ensure!(
+        OneHanded { on: worn.on, ..read } == *worn,
+        "{}: the keys of [one_handed] cannot be written here; write the section anew, and run calibrate again",
+        about()
+    );
     models::recording::write_whole(file, new.as_bytes()).with_context(about)
 }
 

@@ -168,7 +168,8 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         newest_ms: None,
         end_ms: 0,
     };
-    let mut meet = false;
+    // A left hand says how the link was paired before its first hello, and is therefore asked again.
+    let mut meet = is_left(who.board);
     while talk.now_ms() < until_ms {
         let now_ms = talk.now_ms();
         if meet && talk.is_ready() {

@@ -48,6 +48,11 @@ impl Bonds {
         self.0.borrow().iter().find(|bond| bond.key == key).copied()
     }
 
+    /// Returns whether this bond would replace a bond that was paired with a passkey by one that was not.
+    pub fn would_be_weakened_by(&self, bond: &Bond) -> bool {
+        self.0.borrow().would_be_weakened_by(bond)
+    }
+
     /// Stores a new laptop, or the changed keys of a known laptop.
     pub fn keep(&self, bond: Bond) {
         self.0.borrow_mut().keep(bond);

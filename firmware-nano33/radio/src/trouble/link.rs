@@ -32,6 +32,8 @@ type Link = GattConnection<'static, 'static, DefaultPacketPool>;
 const WHILE_PAIRING: Duration = Duration::from_secs(30);
 /// A laptop whose owner types a passkey gets this much time. The laptop itself waits 30 s for the passkey.
 const WHILE_TYPING: Duration = Duration::from_secs(60);
+/// A passkey is shown for this time. The stack ends a pairing after 30 s without an answer, and does not report it.
+const WHILE_SHOWN: Duration = Duration::from_secs(35);
 /// Pause between two advertisements.
 const IDLE: Duration = Duration::from_millis(50);
 /// A piece that was not sent within this time (one hop) is late.
@@ -153,11 +155,17 @@ impl Visit {
                 GattConnectionEvent::BondLost if !self.bonds.may_bond() => self.hang_up(),
                 GattConnectionEvent::PairingComplete { bond: Some(keys), .. } => {
                     let bond = from_keys(&keys);
-                    self.bonds.keep(bond);
-                    self.trust(bond);
+                    if self.bonds.would_be_weakened_by(&bond) {
+                        self.hang_up();
+                    } else {
+                        self.bonds.keep(bond);
+                        self.trust(bond);
+                    }
                 }
+                // The stack asks for a passkey even if the laptop may not bond.
+                GattConnectionEvent::PassKeyDisplay(_) if !self.bonds.may_bond() => self.hang_up(),
                 GattConnectionEvent::PassKeyDisplay(passkey) => pairing::show(passkey.value()),
-                GattConnectionEvent::PairingFailed(_) => pairing::clear(),
+                GattConnectionEvent::PairingFailed(_) => self.forget_passkey(),
                 // If a laptop does not store its keys, they are useless here.
                 GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
                 GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
@@ -190,6 +198,14 @@ impl Visit {
     fn trust(&self, bond: Bond) {
         self.trusted.set(Some(bond));
         pairing::set_paired(bond.authenticated);
+    }
+
+    /// Shows the passkey no longer. A link that is still encrypted with stored keys is what it was.
+    fn forget_passkey(&self) {
+        match self.trusted.get() {
+            Some(bond) => pairing::set_paired(bond.authenticated),
+            None => pairing::clear(),
+        }
     }
 
     async fn take(&self, write: WriteEvent<'static, 'static, DefaultPacketPool>) {
@@ -261,10 +277,19 @@ impl Visit {
     /// Disconnects a laptop that is still not trusted after some time.
     async fn watch(&self) {
         let mut waited = Duration::from_secs(0);
+        let mut shown = (None, Duration::from_secs(0));
         loop {
             let may_bond = self.bonds.may_bond();
+            let passkey = pairing::passkey();
+            if passkey != shown.0 {
+                shown = (passkey, Duration::from_secs(0));
+            }
+            // The stack gives up after 30 s without saying so.
+            if passkey.is_some() && shown.1 > WHILE_SHOWN {
+                self.forget_passkey();
+            }
             let _ = self.link.raw().set_bondable(may_bond);
-            let patience = match pairing::passkey() {
+            let patience = match passkey {
                 Some(_) => WHILE_TYPING,
                 None if may_bond => WHILE_PAIRING,
                 None => STRANGER,
@@ -276,6 +301,7 @@ impl Visit {
             }
             Timer::after(Duration::from_secs(1)).await;
             waited += Duration::from_secs(1);
+            shown.1 += Duration::from_secs(1);
         }
     }
 

@@ -83,10 +83,10 @@ impl ObjectTable {
         }
     }
 
-    /// Returns the maximum distance of the object's points from the centre of its underside.
+    /// Returns the maximum distance between two of the object's points, because a gripper may hold it anywhere.
     pub fn reach_m(&self) -> f64 {
         let [length, width] = self.half_m();
-        DVec3::new(length, width, self.height_m).length() + ROD_M
+        DVec3::new(2.0 * length, 2.0 * width, self.height_m).length() + ROD_M
     }
 
     /// Returns capsules that enclose the object in its own frame: rods along its edges, and its interior.

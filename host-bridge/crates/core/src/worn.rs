@@ -5,6 +5,8 @@
 
 use shared_dsp::left::tilt::{Acceleration, Tilt as Angles};
 
+use shared_proto::message::Sensor;
+
 use crate::one_handed::{Axis, GRAVITY_MM_S2, NEUTRAL_MAX_MRAD, OneHanded};
 
 /// A tilt below this angle is hardly intended.
@@ -46,6 +48,34 @@ pub enum PoseError {
         "this tilt is in the same direction as the one before, or against it; lower the left edge of the hand"
     )]
     SameAxis,
+}
+
+impl PoseError {
+    /// Returns whether this pose contradicts the one before, so that either may be wrong.
+    pub fn is_contradiction(&self) -> bool {
+        matches!(self, Self::Mirrored | Self::SameAxis)
+    }
+}
+
+/// Whether the axes that a board sends form a right-handed or a left-handed frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Handedness {
+    /// As usual: forward, left and up.
+    Right,
+    /// The mirror image.
+    Left,
+}
+
+impl Handedness {
+    /// Returns the handedness of the axes that a board with this sensor sends.
+    /// Boards send the raw axes of an LSM9DS1, which are left-handed (DocID025715 Rev 2, figure 1).
+    /// The driver of the BMI270 converts to the same axes. Those of the LSM6DS3TR-C are right-handed (DocID030071).
+    pub fn of(sensor: Sensor) -> Self {
+        match sensor {
+            Sensor::Lsm9ds1 | Sensor::Bmi270 => Self::Left,
+            _ => Self::Right,
+        }
+    }
 }
 
 /// The board in the level pose.
@@ -99,14 +129,23 @@ impl Level {
     }
 
     /// Determines how the board is worn from the mean acceleration of the hand whose fingers point down, in mm/s².
-    /// The rules keep their choice of the mode.
+    /// The rules keep their choice of the mode. The axis to the left follows from the handedness of the board's axes.
     ///
     /// # Errors
     /// Returns [`PoseError`] if the tilt is too small, too large, or not along an axis.
-    pub fn forward(&self, rules: OneHanded, mean_mm_s2: [f64; 3]) -> Result<OneHanded, PoseError> {
+    pub fn forward(
+        &self,
+        rules: OneHanded,
+        axes: Handedness,
+        mean_mm_s2: [f64; 3],
+    ) -> Result<OneHanded, PoseError> {
         let forward = self.lowered(mean_mm_s2)?;
         let ([ux, uy, uz], [fx, fy, fz]) = (self.up.direction(), forward.direction());
-        let left = Axis::nearest([uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx]);
+        let cross = [uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx];
+        let left = Axis::nearest(match axes {
+            Handedness::Right => cross,
+            Handedness::Left => cross.map(|part| -part),
+        });
         let along = |axis: Axis| {
             (1000.0 * axis.direction().iter().zip(self.mean).map(|(d, m)| d * m).sum::<f64>()) as i16
         };
@@ -150,15 +189,18 @@ mod tests {
     fn a_board_that_is_worn_any_way_round_is_recognised_from_three_poses() {
         let axes = [Axis::PlusX, Axis::MinusX, Axis::PlusY, Axis::MinusY, Axis::PlusZ, Axis::MinusZ];
         let mut ways = 0;
-        for up in axes {
+        for (up, handed) in axes.into_iter().flat_map(|up| [(up, Handedness::Right), (up, Handedness::Left)])
+        {
             for forward in axes.into_iter().filter(|axis| axis.parts().0 != up.parts().0) {
                 let ([ux, uy, uz], [fx, fy, fz]) = (up.direction(), forward.direction());
-                let left = Axis::nearest([uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx]);
+                let sign = if handed == Handedness::Right { 1.0 } else { -1.0 };
+                let cross = [uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx];
+                let left = Axis::nearest(cross.map(|part| sign * part));
                 let worn = OneHanded { forward, left, up, ..OneHanded::OFF };
                 for (pitch, roll) in [(0.0, 0.0), (12.0, -8.0), (-15.0, 10.0)] {
                     let level = Level::of(read(&worn, tilted(pitch, roll))).unwrap();
-                    let found =
-                        level.forward(OneHanded::OFF, read(&worn, tilted(pitch + 30.0, roll))).unwrap();
+                    let lowered = read(&worn, tilted(pitch + 30.0, roll));
+                    let found = level.forward(OneHanded::OFF, handed, lowered).unwrap();
                     level.check_left(&found, read(&worn, tilted(pitch, roll + 30.0))).unwrap();
                     assert_eq!((found.forward, found.left, found.up), (forward, left, up));
                     assert!(found.is_sound());
@@ -168,7 +210,7 @@ mod tests {
                 }
             }
         }
-        assert_eq!(ways, 24 * 3);
+        assert_eq!(ways, 2 * 24 * 3);
     }
 
     #[test]
@@ -179,11 +221,14 @@ mod tests {
             assert!(matches!(Level::of(wrong), Err(PoseError::NoGravity(_))));
         }
         let level = Level::of(tilted(0.0, 0.0)).unwrap();
-        let forward = |pitch, roll| level.forward(OneHanded::OFF, tilted(pitch, roll));
+        let forward = |pitch, roll| level.forward(OneHanded::OFF, Handedness::Right, tilted(pitch, roll));
         assert!(matches!(forward(10.0, 0.0), Err(PoseError::Amount(deg)) if (deg - 10.0).abs() < 0.1));
         assert!(matches!(forward(80.0, 0.0), Err(PoseError::Amount(_))));
         assert!(matches!(forward(25.0, 25.0), Err(PoseError::Askew(_))));
-        assert!(matches!(level.forward(OneHanded::OFF, [0.0; 3]), Err(PoseError::NoGravity(_))));
+        assert!(matches!(
+            level.forward(OneHanded::OFF, Handedness::Right, [0.0; 3]),
+            Err(PoseError::NoGravity(_))
+        ));
         let rules = forward(30.0, 0.0).unwrap();
         let left = |pitch, roll| level.check_left(&rules, tilted(pitch, roll));
         assert_eq!(left(0.0, -30.0), Err(PoseError::Mirrored));
@@ -194,8 +239,22 @@ mod tests {
     #[test]
     fn a_hand_that_tilted_backward_instead_of_forward_is_found_out_by_its_tilt_to_the_left() {
         let level = Level::of(tilted(0.0, 0.0)).unwrap();
-        let rules = level.forward(OneHanded::OFF, tilted(-30.0, 0.0)).unwrap();
+        let rules = level.forward(OneHanded::OFF, Handedness::Right, tilted(-30.0, 0.0)).unwrap();
         assert_eq!(rules.forward, Axis::MinusX);
         assert_eq!(level.check_left(&rules, tilted(0.0, 30.0)), Err(PoseError::Mirrored));
+    }
+
+    #[test]
+    fn the_arduino_boards_send_left_handed_axes() {
+        // The x axis of the chip points to the wrist, y to the left, and z up.
+        let chip = |[forward, left, up]: [f64; 3]| [-forward, left, up];
+        let level = Level::of(chip(tilted(0.0, 0.0))).unwrap();
+        for sensor in [Sensor::Lsm9ds1, Sensor::Bmi270] {
+            let axes = Handedness::of(sensor);
+            let rules = level.forward(OneHanded::OFF, axes, chip(tilted(30.0, 0.0))).unwrap();
+            assert_eq!((rules.forward, rules.left, rules.up), (Axis::MinusX, Axis::PlusY, Axis::PlusZ));
+            level.check_left(&rules, chip(tilted(0.0, 30.0))).unwrap();
+        }
+        assert_eq!(Handedness::of(Sensor::Lsm6ds3), Handedness::Right);
     }
 }

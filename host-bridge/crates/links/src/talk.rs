@@ -358,6 +358,22 @@ impl Talk {
         None
     }
 
+    /// Returns what a right hand's board reports about its hardware after each hello, or `None` if it does not.
+    pub fn about(&mut self, patience_ms: u64) -> Option<About> {
+        let until_ms = self.now_ms() + patience_ms;
+        let mut asked_ms = None;
+        while self.now_ms() < until_ms {
+            let due = asked_ms.is_none_or(|t| self.now_ms() - t >= REPEAT_MS);
+            if due && self.send(&HostMessage::HelloRequest) {
+                asked_ms = Some(self.now_ms());
+            }
+            if let Some((_, Said::About(about))) = self.next(20) {
+                return Some(about);
+            }
+        }
+        None
+    }
+
     /// Adds the axes of the board, which boards since protocol 1.1 report after their model.
     fn with_axes(&mut self, mut model: ModelNeeds) -> ModelNeeds {
         const AT_ONCE_MS: u64 = 100;
