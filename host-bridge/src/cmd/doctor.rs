@@ -169,7 +169,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         end_ms: 0,
     };
     // A left hand says how the link was paired before its first hello, and is therefore asked again.
-    let mut meet = is_left(who.board);
+    let mut meet = is_left(heard.who.board);
     while talk.now_ms() < until_ms {
         let now_ms = talk.now_ms();
         if meet && talk.is_ready() {
