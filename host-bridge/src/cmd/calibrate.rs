@@ -21,6 +21,8 @@ use super::ports::{PortOptions, port_of, read_config, settings};
 const HELLO_MS: u64 = 6000;
 /// Maximum duration of a step, which consists of 0.64 s of measuring and the write to EEPROM.
 const STEP_MS: u64 = 8000;
+/// Boards describe their hardware at once after each hello.
+const ABOUT_MS: u64 = 1000;
 const ATTEMPTS: u32 = 3;
 
 const STEPS: [(CalibrationStep, &str); 3] = [
@@ -126,10 +128,13 @@ fn one_handed(args: &Args) -> Result<ExitCode> {
          (firmware-nano33/README.md)",
         who.version.1
     );
-    let Some(about) = talk.about(STEP_MS) else {
-        bail!("{port}: the board does not say which sensor it has; restart it, and run calibrate again");
+    let axes = match talk.about(ABOUT_MS) {
+        Some(about) => Handedness::of(about.sensor),
+        None => {
+            println!("the board does not say which sensor it has; its axes count as right-handed");
+            Handedness::Right
+        }
     };
-    let axes = Handedness::of(about.sensor);
     // The laptop applies the thresholds; the request only makes the board send its tilt.
     let thresholds = TiltThresholds::DEFAULT;
     talk.request(STEP_MS, |request| HostMessage::SetThresholds { request, thresholds })?;
