@@ -227,7 +227,14 @@ impl Process {
     fn await_done(&self) {
         let mut follows = self.follows.borrow_mut();
         let Follows::Time(socket) = &mut *follows else { return };
-        match socket.read(&mut [0]) {
+        // A socket with a time limit reports an interruption when this process is stopped and continued (signal(7)).
+        let done = loop {
+            match socket.read(&mut [0]) {
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                done => break done,
+            }
+        };
+        match done {
             Ok(1..) => {}
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
                 let _ = self.child.borrow_mut().kill();
