@@ -267,7 +267,7 @@ fn keys_paired_with_a_passkey_are_not_replaced_by_just_works_and_no_passkey_is_s
     rig.run_ms(1000);
     let keys = rig.board.soc().flash[BONDS].to_vec();
     assert_ne!(keys[..4], [0xFF; 4]);
-    let mut again = |rig: &mut RightRig, io: &str| {
+    let again = |rig: &mut RightRig, io: &str| {
         if rig.board.controller().is_connected() {
             rig.get(json!({"do": "disconnect"}));
         }
