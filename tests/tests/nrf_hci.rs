@@ -166,6 +166,13 @@ fn pair_with_a_keyboard(rig: &mut RightRig) -> u64 {
     order
 }
 
+/// As [`pair_with_a_keyboard`], and also returns the passkey that the board sends by cable.
+fn pair_with_a_passkey(rig: &mut RightRig) -> (u64, u32) {
+    let order = pair_with_a_keyboard(rig);
+    rig.run_ms(2000);
+    (order, rig.uart.heard.pairings.last().expect("the passkey by cable").passkey)
+}
+
 /// Waits until an order is done.
 fn outcome(rig: &mut RightRig, order: u64) -> Value {
     for _ in 0..5000 {
@@ -224,9 +231,7 @@ fn a_wrong_passkey_is_refused_and_leaves_no_keys() {
     }
     let mut rig = rig();
     rig.charge();
-    let order = pair_with_a_keyboard(&mut rig);
-    rig.run_ms(2000);
-    let shown = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    let (order, shown) = pair_with_a_passkey(&mut rig);
     rig.get(json!({"do": "type", "number": (shown + 1) % 1_000_000}));
     let failed = outcome(&mut rig, order);
     println!("{failed}");
@@ -242,9 +247,7 @@ fn a_wrong_passkey_is_refused_and_leaves_no_keys() {
         rig.get(json!({"do": "disconnect"}));
         rig.run_ms(300);
     }
-    let order = pair_with_a_keyboard(&mut rig);
-    rig.run_ms(2000);
-    let next = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    let (order, next) = pair_with_a_passkey(&mut rig);
     assert_ne!(next, shown);
     rig.get(json!({"do": "type", "number": next}));
     assert_eq!(outcome(&mut rig, order)["done"]["authenticated"], true);
@@ -259,9 +262,7 @@ fn keys_paired_with_a_passkey_are_not_replaced_by_just_works_and_no_passkey_is_s
     }
     let mut rig = rig();
     rig.charge();
-    let order = pair_with_a_keyboard(&mut rig);
-    rig.run_ms(2000);
-    let shown = rig.uart.heard.pairings.last().expect("the passkey by cable").passkey;
+    let (order, shown) = pair_with_a_passkey(&mut rig);
     rig.get(json!({"do": "type", "number": shown}));
     assert_eq!(outcome(&mut rig, order)["done"]["authenticated"], true);
     rig.run_ms(1000);
